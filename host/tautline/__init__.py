@@ -108,11 +108,12 @@ __all__ = ["__version__", *_PUBLIC]
 
 
 def __getattr__(name: str) -> Any:
-    """Each comes with its module when it is first asked for: `taut --help` needs none of them."""
+    """A public name, whose module is imported when the name is first asked for: `taut --help` needs none of them."""
     if name not in _PUBLIC:
         raise AttributeError(f"module 'tautline' has no attribute {name!r}")
     return getattr(import_module(f"tautline.{_PUBLIC[name]}"), name)
 
 
 def __dir__() -> list[str]:
+    """The public names, those too whose modules have not been imported yet."""
     return sorted(__all__)

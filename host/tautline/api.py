@@ -43,7 +43,7 @@ _log = logging.getLogger(__name__)
 
 
 def _silent(share: float, what: str) -> None:
-    """The progress of a caller who gave none: it goes to the log."""
+    """The progress of a caller who gave none: logs the share done, 0 to 1, and what is being done."""
     _log.debug("%3.0f %%: %s", 100.0 * share, what)
 
 
@@ -118,9 +118,12 @@ def import_recording(
     """
     from tautline.io import importing
 
-    roles = importing.Roles(motor, (tip,) if isinstance(tip, str) else tuple(tip), command, load, video, tuple(joints))
+    tips = (tip,) if isinstance(tip, str) else tuple(tip)
+    roles = importing.Roles(motor, tips, command=command, load=load, video=video, joints=tuple(joints))
     opened = importing.open_source(source, time)
-    written, skipped = importing.import_episodes(opened, Path(folder), roles, progress, unit, rig, episode)
+    written, skipped = importing.import_episodes(
+        opened, Path(folder), roles, progress, unit=unit, rig=rig, episode=episode
+    )  # fmt: skip
     for text in skipped:
         _log.warning("%s", text)
     return written
@@ -269,9 +272,9 @@ def diagnose(
     if not tests:
         raise TautError("no test: give one recording or more that the calibration was not made from")
     several, used = _evidence([calibration, *tests], rig)
-    calibrated_on, on_one_clock = calibrated(several, used, lambda share, what: progress(_BEFORE * share, what))
+    first, on_one_clock = calibrated(several, used, lambda share, what: progress(_BEFORE * share, what))
     found = diagnosed(
-        calibrated_on.model,
+        first.model,
         on_one_clock[0],
         on_one_clock[1:],
         lambda share, what: progress(_BEFORE + (1.0 - _BEFORE) * share, what),
@@ -423,7 +426,8 @@ def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:
 
 
 def _evidence(recordings: Recording | Sequence[Recording], rig: Rig | None) -> tuple[list[Recording], Rig]:
-    """The recordings as a list, and the rig named or that of all. TautError where one is given twice, too."""
+    """The recordings as a list, and the rig that holds for all of them (`_rig_of`). TautError also where a recording is
+    given twice."""
     several = _several(recordings)
     used = _rig_of(several, rig)
     recordings_room.check_distinct(several)
@@ -431,7 +435,7 @@ def _evidence(recordings: Recording | Sequence[Recording], rig: Rig | None) -> t
 
 
 def _rig_of(recordings: Sequence[Recording], rig: Rig | None) -> Rig:
-    """The one named, else the one that all recordings have."""
+    """The rig that was named, else that of the recordings. TautError where none has one, or two have different ones."""
     if rig is not None:
         return rig
     rigs = [recording.rig for recording in recordings if recording.rig is not None]

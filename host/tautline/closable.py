@@ -13,7 +13,9 @@ class Closable:
         raise NotImplementedError
 
     def __enter__(self) -> Self:
+        """Itself, open as it is."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Closes it, also after an error, which goes on."""
         self.close()

@@ -34,10 +34,11 @@ class Columns:
     warnings: list[str] = field(default_factory=list)
 
     def __len__(self) -> int:
+        """The number of rows, n."""
         return len(self.index)
 
     def keep(self, rows: slice | Array) -> None:
-        """Leaves out all rows but these."""
+        """Leaves out all rows but these: a slice, or (n,) bool."""
         self.cells = {name: cells[rows] for name, cells in self.cells.items()}
         self.index = self.index[rows]
 
@@ -91,6 +92,7 @@ class Columns:
         if self.terminated or len(self) < 2:
             return
         line_end = "\n" if "\n" in self.text else "\r"
+        # 24: of the last lines every second one may be blank.
         *earlier, last = [line.split(",") for line in self.text.rsplit(line_end, 24) if line.strip()][-12:]
         decimals = {_decimals(cells[-1]) for cells in earlier[1:]}  # one number of them: a fixed format
         cut = len(last) < len(self.names) or (len(decimals) == 1 and _decimals(last[-1]) < min(decimals))
@@ -106,7 +108,8 @@ class Columns:
             self.warnings.append(f"{self.path}: the last line is cut short and was left out")
 
     def rising_times(self) -> Array:
-        """t_s, made strictly rising: rows that repeat the time before them are left out with a warning."""
+        """(n,) t_s, made strictly rising: rows that repeat the time before them are left out, of all columns, with a
+        warning. TautError where a time goes back, or many repeat."""
         t_s = self.finite("t_s")
         step = np.diff(t_s)
         back = np.flatnonzero(step < 0)
@@ -133,8 +136,8 @@ class Columns:
 
 
 def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool = True) -> Columns:
-    """`expected` is the header line that errors show. Needs `required` columns and at least one row. `mend`: leave out
-    a last line that was cut."""
+    """Reads a CSV file. required: columns that it must have, besides one row at least; expected: the header line that
+    errors show; mend: leaves out a last line that was cut. TautError, with file and line, where it is no such file."""
     text, terminated = _read_text(path)
     header = re.search(r"[^\r\n]*\S[^\r\n]*", text)
     if header is None:
@@ -152,7 +155,7 @@ def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool 
         raise _uneven_error(path, text, header_line, len(names))
     rows = len(table[0])
     cells = dict(zip(names, table, strict=False)) | {name: np.full(rows, np.nan) for name in names[len(table) :]}
-    columns = Columns(path, names, cells, np.arange(rows), terminated, text)
+    columns = Columns(path, names, cells, index=np.arange(rows), terminated=terminated, text=text)
     for name in required:
         if name not in names:
             raise columns.missing(name, expected)
@@ -162,14 +165,15 @@ def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool 
 
 
 def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str], Array]:
-    """Column t_s of any CSV file: the cells as they are written, and as numbers (n,). Any order, any other columns.
-    A last line without its end counts if its time is whole."""
+    """Column t_s of any CSV file, in any order and beside any other columns: its n cells as they are written, and as
+    numbers (n,), s. A last line without its end counts if its time is whole. warnings: gets one if it is not."""
     columns = read_columns(path, ["t_s"], "a column t_s", mend=False)
     index = columns.names.index("t_s")
     try:
         rows = list(csv.reader(line for line in _lines(columns.text) if line.strip()))[1 : len(columns) + 1]
     except csv.Error as error:
         raise TautError(f"{path}: cannot be read as comma-separated numbers ({error})") from error
+    # Its time may be cut, or is not there; where t_s is the last column a cut cannot be told.
     if not columns.terminated and len(rows) > 1 and len(rows[-1]) <= min(index + 1, len(columns.names) - 1):
         columns.keep(slice(-1))
         rows = rows[:-1]

@@ -34,13 +34,15 @@ _PIECE = 200_000  # display: rows between two reports of progress
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SetPoints(Value):
+    """The motor's set-points, one each tick."""
+
     t_s: Array  # (n,)
     q: Array  # (n,) the rig's unit
     clipped: npt.NDArray[np.bool_]  # (n,) the command was beyond the table or a limit
 
 
 def read_trajectory(path: Path, warnings: list[str] | None = None) -> tuple[Array, Array]:
-    """t_s and c_deg of a CSV; straight lines between its rows."""
+    """The times t_s, s, and angles c_deg, (n,) each, of a trajectory's CSV. warnings: gets what was mended in it."""
     columns = read_columns(path, ["t_s", "c_deg"], "t_s,c_deg")
     t_s, c_deg = columns.rising_times(), columns.finite("c_deg")
     if warnings is not None:
@@ -57,9 +59,10 @@ def compensate(
     start_deg: float | None = None,
     progress: Progress = lambda fraction, text: None,
 ) -> SetPoints:
-    """The set-points at rate_hz from the first time to the last, each from the commands up to its own time. It starts
-    at rest where the mode puts the motor for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed
-    are as fast as the rig's motor may be, without a limit if the rig names none."""
+    """The set-points at rate_hz from the first time to the last, each from the commands up to its own time: the tip
+    shall be at c_deg (n,) at the times t_s (n,), s. The motor starts at rest where the mode (a key of MODES) puts it
+    for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed are as fast as the rig's motor may be,
+    without a limit if the rig names none."""
     return Compensator(model, rate_hz, mode, start_deg).run(t_s, c_deg, progress)
 
 
@@ -82,18 +85,18 @@ class Compensator:
         self.rate_hz, self.mode = int(rate_hz), mode
         limits = _limits(model)
         assert limits.adapt is not None
-        self._farthest = limits.adapt
+        self._farthest = limits.adapt  # offset at most, unit; least and most share of B
         self._table = _native.FixedTable(tables.encode(model, limits=limits))
         self._start_deg = start_deg
-        self._unit = model.rig.actuator.encoder_resolution / _native.COUNT_ONE
+        self._unit = model.rig.actuator.encoder_resolution / _native.COUNT_ONE  # of q, in a Q8 count
         speed = model.rig.actuator.speed_max
         self._most = None if speed is None else speed / rate_hz  # unit, of one tick
         self._native: Any = None  # from the first command on
-        self._moved = 0, _native.RATIO_ONE  # offset and share of B that the tables in use have or go to
-        self._begin_s = self._before_s = self._before_deg = 0.0
-        self._ticks = 0
-        self._q = 0.0
-        self._clipped = False
+        self._moved = 0, _native.RATIO_ONE  # offset, Q8 counts, and share of B that the tables in use have or go to
+        self._begin_s = 0.0  # of the first tick
+        self._before_s = self._before_deg = 0.0  # the last command
+        self._ticks = 0  # that have been made
+        self._q, self._clipped = 0.0, False  # of the last tick
 
     @property
     def clipped(self) -> bool:
@@ -119,23 +122,13 @@ class Compensator:
         """The set-points of all ticks up to the last command. t_s, c_deg (n,): times, s, and angles, deg, of the
         commands. TautError as in `step`."""
         t_s, c_deg = np.asarray(t_s, dtype=float), np.asarray(c_deg, dtype=float)
-        if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
-            shapes = f"t_s {t_s.shape} and c_deg {c_deg.shape}"
-            raise TautError(f"the trajectory's {shapes} must have one length of 1 or more")
-        first = self._native is None
-        known_s = t_s if first else np.concatenate([[self._before_s], t_s])
-        known_deg = c_deg if first else np.concatenate([[self._before_deg], c_deg])
-        if not (np.isfinite(known_s).all() and np.isfinite(known_deg).all() and (np.diff(known_s) > 0.0).all()):
-            raise TautError("the trajectory's times must rise, and its times and angles be finite")
-        if (t_s[-1] - known_s[0]) * self.rate_hz * (1 + 1e-12) >= MOST_ROWS:
-            rows = f"{MOST_ROWS} rows at {self.rate_hz} Hz"
-            raise TautError(f"the trajectory has more than {rows}: lower the rate or cut it; after a pause begin anew")
-        if first:
+        known_s, known_deg = self._with_last_command(t_s, c_deg)
+        if self._native is None:
             self._start(float(t_s[0]), float(c_deg[0]))
-        last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)
+        last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)  # a tick at the end is in, if rounded
         times = self._begin_s + np.arange(self._ticks, last + 1) / self.rate_hz
         raw = _raw(np.interp(times, known_s, known_deg))
-        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)
+        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)  # q: Q8 counts at first
         for begin in range(0, len(raw), _PIECE):
             piece = slice(begin, begin + _PIECE)
             q[piece], _, _, flags[piece] = self._native.run(raw[piece])
@@ -151,6 +144,22 @@ class Compensator:
         self._ticks = last + 1
         self._before_s, self._before_deg = float(t_s[-1]), float(c_deg[-1])
         return SetPoints(times, q, clipped)
+
+    def _with_last_command(self, t_s: Array, c_deg: Array) -> tuple[Array, Array]:
+        """Times, s, and angles, deg, of the commands t_s, c_deg (n,) with the last one before them, if there was one:
+        what the ticks are between. TautError where they cannot follow it."""
+        if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
+            shapes = f"t_s {t_s.shape} and c_deg {c_deg.shape}"
+            raise TautError(f"the trajectory's {shapes} must have one length of 1 or more")
+        first = self._native is None
+        known_s = t_s if first else np.concatenate([[self._before_s], t_s])
+        known_deg = c_deg if first else np.concatenate([[self._before_deg], c_deg])
+        if not (np.isfinite(known_s).all() and np.isfinite(known_deg).all() and (np.diff(known_s) > 0.0).all()):
+            raise TautError("the trajectory's times must rise, and its times and angles be finite")
+        if (t_s[-1] - known_s[0]) * self.rate_hz * (1 + 1e-12) >= MOST_ROWS:
+            rows = f"{MOST_ROWS} rows at {self.rate_hz} Hz"
+            raise TautError(f"the trajectory has more than {rows}: lower the rate or cut it; after a pause begin anew")
+        return known_s, known_deg
 
     def adapt(self, offset: float, share: float, within_s: float = BLEND_S) -> None:
         """Moves the tables in use as a board does that is told what was learnt: by an offset of the transmission, the
@@ -168,7 +177,8 @@ class Compensator:
             self._native.adapt(*self._moved, round(within_s * self.rate_hz))
 
     def _start(self, t_s: float, c_deg: float) -> None:
-        """Prepares the board's compensator for the first command."""
+        """Prepares the board's compensator for the first command, c_deg at t_s: at rest at q0, Q8 counts, where the
+        mode puts the motor for that angle or start_deg, within the table's range."""
         start = _raw(np.array([c_deg if self._start_deg is None else self._start_deg]))
         inverse = self._table.angle_inverse if self.mode == "full" else self._table.coarse_inverse
         low, high = self._table.fields["q_min"], self._table.fields["q_max"]
@@ -187,9 +197,9 @@ def _limits(model: Model) -> tables.Limits:
     """The limits of tables in use, as fast as the rig's motor may be; where the rig names no speed, as fast as a board
     computes with."""
     resolution = model.rig.actuator.encoder_resolution
-    most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution
+    most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution  # unit/s
     speed = min(most, model.rig.actuator.speed_max or most)
-    accel = INT32_MAX * resolution
+    accel = INT32_MAX * resolution  # unit/s^2
     own = tables.Limits.in_use(model.rig)
     return replace(own, speed_max=speed, takeup_speed=speed, takeup_accel=accel, slope_min=0.0)
 
@@ -204,7 +214,8 @@ def _rate_limited(q: Array, step: float, here: float) -> Array:
 
 
 def write_csv(path: Path, unit: str, points: SetPoints, resolution: float) -> None:
-    """t_s,q_mm (or q_deg),clipped; positions to a 256th of a count."""
+    """Writes the set-points with the columns t_s, q_mm (or q_deg, by `unit`) and clipped; positions to a 256th of a
+    count. resolution: unit per count."""
     digits = max(6, int(np.ceil(-np.log10(resolution / _native.COUNT_ONE))))
     lines = [f"t_s,q_{unit},clipped"]
     rows = zip(points.t_s.tolist(), points.q.tolist(), points.clipped.tolist(), strict=True)

@@ -37,13 +37,13 @@ class Discrepancy:
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
-        """The Cholesky factor of the seen values' covariance."""
+        """The Cholesky factor (n, n) of the seen values' covariance, and whether it is the lower one, for cho_solve."""
         own = kernel(self.inputs, self.inputs, self.lengths)
         factor, lower = cho_factor(own + (self.white + JITTER) * np.eye(len(self.inputs)), lower=True)
         return factor, bool(lower)
 
     def to_json(self) -> dict[str, Any]:
-        """As a model remembers it, plain."""
+        """The fields as plain values, for model.json."""
         arrays = {"inputs": self.inputs.tolist(), "lengths": self.lengths.tolist()}
         return {"sigma": self.sigma, "white": self.white, **arrays}
 

@@ -46,45 +46,48 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
     begin_s, end_s = float(t_s[0]), float(t_s[-1])
     t_s, readings = _block_means(t_s, q)
     usual_s = float(np.median(np.diff(t_s)))
-    parts = max(int(np.ceil(usual_s / _GRID_S - 1e-6)), 1)
+    parts = max(int(np.ceil(usual_s / _GRID_S - 1e-6)), 1)  # of each interval of readings
     size = len(readings)
     nodes = np.interp(np.arange((size - 1) * parts + 1) / parts, np.arange(size), t_s)
     read = np.zeros(len(nodes), dtype=np.uint8)
     read[::parts] = 1
     zero = float(readings[0])
-    reading = np.zeros(len(nodes))
+    reading = np.zeros(len(nodes))  # at each node that has one, in steps from the first
     reading[::parts] = (readings - zero) / step
-    steps = np.diff(nodes) / usual_s
-    found = _fitted_path(order, steps, reading, read, rounded)
+    found = _fitted_path(order, np.diff(nodes) / usual_s, reading, read, rounded)
     mean, sigma = found.mean.copy(), found.sigma
-    # Where neighbours were taken together it ends half of them early: it goes on as it went.
+    # The first and last node of averaged readings are in the middle of theirs: the path goes on as it went to the ends.
     ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
     nodes[[0, -1]] += ends
     if order == 2:
         shows = _shows_corners(nodes, mean, parts)
         nodes, mean, sigma = _corners_placed(nodes[shows], mean[shows], sigma[shows])
-    noise = step * found.noise * float(np.sqrt(len(q) / size))
-    return Driven(nodes, zero + step * mean, step * sigma, noise, order)
+    noise = step * found.noise * float(np.sqrt(len(q) / size))  # equation: of one reading, from that of block means
+    return Driven(t_s=nodes, q=zero + step * mean, sigma=step * sigma, noise=noise, order=order)
 
 
 @dataclass(frozen=True)
 class _Swept:
-    """told: log probability of the readings, each left out in turn; the rest of nodes (n,), in the encoder's steps."""
+    """A path at nodes (n,) after a sweep, in the encoder's steps."""
 
-    told: float
-    mean: Array
-    sigma: Array
-    noise: float
+    told: float  # log probability of the readings, each left out in turn
+    mean: Array  # (n,)
+    sigma: Array  # (n,)
+    noise: float  # of the readings
 
 
-def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
+def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
     """The path on a grid of nodes by repeated sweeps with ever rarer changes; the sweep with the best held-out
-    probability counts. steps (n - 1): intervals between nodes over the usual one; reading (n,) in the encoder's steps,
-    where `read` is 1."""
+    probability counts. intervals (n - 1,): between nodes, over the usual one of readings; reading (n,): in the
+    encoder's steps, where `read` (n,) is 1; order, rounded: as of `driven`."""
     size, seen = len(reading), np.flatnonzero(read)
+<<<<<<< HEAD
     times = np.concatenate([[0.0], np.cumsum(steps)])
     change = change_factors(order, steps)
+=======
+    times = np.concatenate([[0.0], np.cumsum(intervals)])
+>>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
     noise = max(white_noise(times[seen], reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
     state = np.interp(np.arange(size), seen, reading[seen])
     precision = read / (noise**2 + (spread.of_rounding(1.0) ** 2 if rounded else 0.0))
@@ -93,9 +96,17 @@ def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.
     jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf
     best = _Swept(-np.inf, state.copy(), np.full(size, noise), noise)
     for _ in range(_SWEEPS):
+        # Changes the last five in place: positions; of each reading as a Gaussian its precision and that times its
+        # mean; mean squares of the changes; variance of the positions.
         holds, scatter, told = _native.sweep(
+<<<<<<< HEAD
             change, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
         )
+=======
+            order, intervals, reading, read, 0.5 if rounded else 0.0, noise, jump,
+            state, precision, force, jumped, variance,
+        )  # fmt: skip
+>>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
         if not holds or not np.isfinite(told):
             break
         noise = max(scatter, _NO_NOISE)
@@ -117,15 +128,16 @@ def change_factors(order: int, steps: Array) -> Array:
 
 
 def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
-    """Whether each node shows where a jump of speed is: all but those on a straight line between two others of the same
-    interval of readings that jump, as they do where times are uneven. parts: of nodes for each interval of readings."""
+    """(n,) Whether each node shows where a jump of speed is: all but those on a straight line between two others of the
+    same interval of readings that jump, as they do where times are uneven. t_s, q (n,): the nodes, s, and the path
+    there; parts: of nodes for each interval of readings."""
     shows = np.ones(len(t_s), dtype=bool)
     if parts < 2:
         return shows
     jump = np.zeros(len(t_s))
     jump[1:-1] = np.abs(np.diff(np.diff(q) / np.diff(t_s)))
-    of = np.column_stack([jump[:-1].reshape(-1, parts), jump[parts::parts]])
-    jumps = of >= _NONE * of.max(axis=1, keepdims=True)
+    by_interval = np.column_stack([jump[:-1].reshape(-1, parts), jump[parts::parts]])  # with both its ends
+    jumps = by_interval >= _NONE * by_interval.max(axis=1, keepdims=True)
     before = np.logical_or.accumulate(jumps, axis=1)
     after = np.logical_or.accumulate(jumps[:, ::-1], axis=1)[:, ::-1]
     shows[:-1].reshape(-1, parts)[:, 1:] = (jumps | ~(before & after))[:, 1:-1]
@@ -133,9 +145,10 @@ def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
 
 
 def _corners_placed(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
-    """Moves each jump of speed, which shows at the nodes on either side of it, to where the lines beside it meet.
-    Times, positions and sigmas."""
+    """Moves each jump of speed, which shows at the nodes on either side of it, to where the lines beside it meet: one
+    node in place of two. Of nodes (n,) returns the times, s, positions and sigmas of those that are left (m,)."""
     jump = np.diff(np.diff(q) / np.diff(t_s))  # at nodes 1 to n - 2
+    # Of each two neighbours that jump the same way how much both do; one jump is where that is largest.
     pair = np.where(jump[1:] * jump[:-1] > 0.0, np.abs(jump[1:] + jump[:-1]), 0.0)
     around = np.concatenate([[0.0], pair, [0.0]])
     left = np.flatnonzero((pair > around[:-2]) & (pair >= around[2:])) + 1
@@ -173,7 +186,8 @@ def white_noise(t_s: Array, q: Array) -> float:
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
-    """Times and readings averaged over neighbours that come faster than the nodes of the grid, never across a pause."""
+    """Times t_s, s, and readings q, (n,) each, averaged over neighbours that come faster than the nodes of the grid,
+    never across a pause: (m,) each."""
     many = int(_GRID_S / float(np.median(np.diff(t_s))) + 1e-6)
     if many < 2 or len(q) < 4 * many:
         return t_s, q

@@ -62,7 +62,7 @@ class Elements:
         return len(self.width) == 1
 
     def to_json(self) -> dict[str, list[float]]:
-        """As a model remembers it, plain."""
+        """Widths and weights as plain values, for model.json."""
         return {"width": list(self.width), "weight": list(self.weight)}
 
     @classmethod
@@ -98,16 +98,16 @@ class Play:
 
     @cached_property
     def native(self) -> Any:
-        """The C object that runs it; a single play needs no warp, nor does friction."""
+        """The C object that runs the play; a single one needs no warp, nor does friction."""
         if isinstance(self.elements, Friction):
             return self.elements.native(self.grid, self.width)
         if self.elements.single:
             return _native.Plays(self.grid, self.width)
         narrow = self.narrow
         warp = warp_of(self.grid, self.width, narrow)
-        r, w = 0.5 * np.array(self.elements.width), np.array(self.elements.weight)
-        below = narrow if (self.width < narrow).any() else 0.0
-        return _native.Plays(self.grid, self.width, warp.q, warp.x, r, w, below)
+        radii, weights = 0.5 * np.array(self.elements.width), np.array(self.elements.weight)
+        single_below = narrow if (self.width < narrow).any() else 0.0
+        return _native.Plays(self.grid, self.width, warp.q, warp.x, radii, weights, single_below)
 
     @property
     def narrow(self) -> float:
@@ -129,10 +129,10 @@ class Warp:
 
 
 def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
-    """The warp x = G(q) of a backlash table; widths below `narrow` (> 0) count as `narrow`. With T the map from p - B/2
-    to p + B/2, G(T(u)) = G(u) + 1: one period about the table's middle determines all others. Within it G has the least
-    integral of G'''^2 over the table. Knots: those of the period, the table's corners among them, and their images
-    under T. G(middle) = 0."""
+    """The warp x = G(q) of a backlash table, B width (n,) at grid (n,), unit of q; widths below `narrow` (> 0) count as
+    `narrow`. With T the map from p - B/2 to p + B/2, G(T(u)) = G(u) + 1: one period about the table's middle determines
+    all others. Within it G has the least integral of G'''^2 over the table. Knots: those of the period, the table's
+    corners among them, and their images under T. G(middle) = 0."""
     middle = 0.5 * (grid[0] + grid[-1])
     grid, width = _with_least_width(grid, width, narrow)
     table = _Periods(grid, width)
@@ -146,8 +146,9 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
         knots = knots[:-1]
     phases = np.asarray(base(knots))
     q, x = _in_all_periods(table, knots, phases)
-    apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])
+    apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])  # rounding may bring two together
     q, x = q[apart], x[apart]
+    # Far beyond the table, where B is held, it goes on by 1 a width.
     q = np.concatenate([[q[0] - _BEYOND * width[0]], q, [q[-1] + _BEYOND * width[-1]]])
     x = np.concatenate([[x[0] - _BEYOND], x, [x[-1] + _BEYOND]])
     return Warp(q, x - np.interp(middle, q, x))
@@ -186,6 +187,7 @@ class _Periods:
     there, both in the unit of q; left and right are the motor's places at which an element at p is pushed."""
 
     def __init__(self, grid: Array, width: Array) -> None:
+        """grid, width: as of the class."""
         self.left, self.right = grid - 0.5 * width, grid + 0.5 * width
         self.grid, self.width = grid, width
 
@@ -214,7 +216,8 @@ class _Periods:
 
 
 def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
-    """Linear interpolation from nodes `from_` to `to`; beyond the ends shifted by as much as the end node is."""
+    """Linear interpolation at x, of any shape, of the values `to` (n,) at the rising nodes `from_` (n,); beyond the
+    ends x is shifted by as much as the end node is."""
     x = np.asarray(x, dtype=float)
     beyond = np.minimum(x - from_[0], 0.0) + np.maximum(x - from_[-1], 0.0)
     return np.asarray(np.interp(x, from_, to) + beyond)
@@ -223,12 +226,13 @@ def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
 def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
     """The warp G, G(p + B/2) - G(p - B/2) = 1, less G(first), over the period [first, last), unit of q, in which it
     rises from 0 to 1: the one whose continuation over the whole table has the least integral of G'''^2."""
+    # On the mesh: _MESH nodes in the period, and their images in all periods that the table has, each a column.
     smooth = _Periods(*_without_corners(grid, width))
     nodes = first + (float(smooth.up(first)) - first) * np.arange(_MESH) / _MESH
     columns = [nodes]
     while columns[-1][-1] < grid[-1] + 0.5 * width[-1]:
         columns.append(smooth.up(columns[-1]))
-    ahead = len(columns)
+    ahead = len(columns)  # periods from the first one on; those inserted below come before
     while columns[0][0] > grid[0] - 0.5 * width[0]:
         columns.insert(0, smooth.down(columns[0]))
     period = np.repeat(np.arange(ahead - len(columns), ahead, dtype=float), _MESH)
@@ -256,7 +260,7 @@ def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
 
 def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
     """(_MESH,) Rising values v with v[0] = 0 for which v[k mod _MESH] + period[k] at q[k] has the least squared third
-    derivative where `inside`; mixed with even steps as far as they must rise."""
+    derivative where `inside` (q, period, inside: (n,)); mixed with even steps as far as they must rise."""
     weights = np.zeros((len(q) - 3, 4))
     for i in range(4):
         others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
@@ -269,13 +273,14 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
         design[rows, (rows + i) % _MESH] += weights[:, i]
         right -= weights[:, i] * period[i : len(q) - 3 + i]
     even = np.arange(1, _MESH) / _MESH
-    step = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])
-    squares = np.einsum("ij,ik->jk", step, step)
+    system = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])  # of the deviations from even steps
+    squares = np.einsum("ij,ik->jk", system, system)
     normal, slope = squares[:-1, :-1], squares[:-1, -1]
     ridge = _RIDGE * max(np.trace(normal), 1e-300)  # a table without corners may ask for nothing
     normal = normal + ridge * np.eye(_MESH - 1)
     smoothest = even + np.linalg.solve(normal, slope)
     rises = np.diff(np.concatenate([[0.0], smoothest, [1.0]]))
     mean, least = 1.0 / _MESH, float(rises.min())
+    # The largest share of the smoothest with which every step is _AT_LEAST of the mean one.
     share = 1.0 if least >= _AT_LEAST * mean else (1.0 - _AT_LEAST) * mean / (mean - least)
     return np.concatenate([[0.0], share * smoothest + (1.0 - share) * even])

@@ -78,25 +78,19 @@ def _through_changes(t: Array, steps: Steps) -> Array:
     their two dwells before and after that, and stays there in between: at an even speed these lines are one."""
     counts = steps.counts
     changes = np.flatnonzero(np.diff(counts))
-    times = 0.5 * (t[changes] + t[changes + 1])
+    crossed_s = 0.5 * (t[changes] + t[changes + 1])
     boundary = 0.5 * (counts[changes] + counts[changes + 1])
-    lasts = np.diff(times)
-    before, after = np.concatenate([lasts[:1], lasts[:-1]]), np.concatenate([lasts[1:], lasts[-1:]])
+    dwells_s = np.concatenate([[np.inf], np.diff(crossed_s), [np.inf]])  # the first and last count's are not known
+    before_s, after_s = dwells_s[:-1], dwells_s[1:]
     # A motor that jumps by several counts is at the new one with the next sample, however long it stays there.
-    jumps, sample = np.abs(np.diff(counts)[changes]) > 1, t[changes + 1] - t[changes]
-    before, after = np.where(jumps[:-1], sample[:-1], before), np.where(jumps[1:], sample[1:], after)
-    first = sample[0] if jumps[0] else lasts[0]
-    last = sample[-1] if jumps[-1] else lasts[-1]
-    centre = counts[changes[:-1] + 1]
-    knots_t = np.empty(3 * len(times) - 2)
-    knots_q = np.empty_like(knots_t)
-    knots_t[0::3], knots_q[0::3] = times, boundary
-    knots_t[1::3], knots_q[1::3] = times[:-1] + 0.5 * np.minimum(lasts, before), centre
-    knots_t[2::3], knots_q[2::3] = times[1:] - 0.5 * np.minimum(lasts, after), centre
-    ends = [t[0], times[0] - 0.5 * first], [times[-1] + 0.5 * last, t[-1]]
-    knots_t = np.concatenate([ends[0], knots_t, ends[1]])
-    knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
-    order = np.argsort(knots_t, kind="stable")
+    jumps, sample_s = np.abs(np.diff(counts)[changes]) > 1, t[changes + 1] - t[changes]
+    leaves_s = crossed_s - 0.5 * np.minimum(before_s, np.where(jumps, sample_s, after_s))
+    arrives_s = crossed_s + 0.5 * np.minimum(after_s, np.where(jumps, sample_s, before_s))
+    knots_t = np.column_stack([leaves_s, crossed_s, arrives_s]).ravel()
+    knots_q = np.column_stack([counts[changes], boundary, counts[changes + 1]]).ravel()
+    knots_t = np.concatenate([t[:1], knots_t, t[-1:]])
+    knots_q = np.concatenate([counts[:1], knots_q, counts[-1:]])
+    order = np.argsort(knots_t, kind="stable")  # the first count may be left before t[0], the last reached after t[-1]
     return np.asarray(steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order]))
 
 
@@ -115,7 +109,7 @@ def _is_smoothed(motor: Motor, steps: Steps | None, noise_counts: float) -> bool
 
 def smoothed_away(motor: Motor, resolution: float) -> float:
     """Standard deviation of what smoothing takes for the readings' noise, their unit, at least that of rounding: 0
-    where they are not smoothed."""
+    where they are not smoothed. resolution: the rig's step of the encoder, the same unit."""
     steps, noise = _steps_of(motor, resolution), reading_noise(motor)
     count = resolution if steps is None else steps.count
     known = posterior_of(motor, resolution) is not None
@@ -143,7 +137,7 @@ def _third_difference_score(motor: Motor) -> float:
 
 def count_of(motor: Motor, resolution: float) -> float:
     """The encoder's step as the readings show it, their unit; where they have no steps sqrt(12) times their noise (a
-    step of that size scatters as much), at most the rig's step."""
+    step of that size scatters as much), at most the rig's step, `resolution`."""
     steps = _steps_of(motor, resolution)
     return min(resolution, reading_noise(motor) / of_rounding(1.0)) if steps is None else steps.count
 
@@ -157,8 +151,8 @@ def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
         return False
     if moves.max() > _LEAPS * float(np.median(moves)):
         return False  # it steps: a smooth path through that is none
-    changes = np.convolve(moved > 0, np.ones(_OF), mode="same")  # a slow motor changes its count now and then
-    return bool(np.mean(changes[moved > 0]) > _SKIPS)
+    changed_nearby = np.convolve(moved > 0, np.ones(_OF), mode="same")  # a slow motor changes its count now and then
+    return bool(np.mean(changed_nearby[moved > 0]) > _SKIPS)
 
 
 def between_samples(motor: Motor) -> float:
@@ -186,7 +180,7 @@ def _smoothed(t_s: Array, q: Array) -> Array:
     if n < _SMOOTHED:
         return q
     factors = np.sqrt(THIRD) * third_differences(t_s, q)[0]  # of -1, 3, -3, 1 at even times
-    bent = np.zeros((4, n))
+    bent = np.zeros((4, n))  # the penalty's matrix, its upper bands as solveh_banded takes them
     for i in range(4):
         for j in range(i, 4):
             bent[3 - (j - i), j : n - 3 + j] += factors[:, i] * factors[:, j]
@@ -194,7 +188,7 @@ def _smoothed(t_s: Array, q: Array) -> Array:
         system = stiff * bent
         system[3] += 1.0
         smooth = np.asarray(solveh_banded(system, q))
-        spent = float(np.mean(1.0 / (1.0 + stiff * wave)))
+        spent = float(np.mean(1.0 / (1.0 + stiff * wave)))  # the trace / n
         score = float(np.mean((q - smooth) ** 2)) / (1.0 - spent) ** 2
         if score < least:
             best, least = smooth, score
@@ -204,22 +198,27 @@ def _smoothed(t_s: Array, q: Array) -> Array:
 def straight_lines(motor: Motor, resolution: float) -> Motor:
     """The recorded motor as straight lines between few knots, to within what no sensor sees; it rests and turns when
     the counts say so. Without steps or noise readings stay as they are. q_cmd and columns of no joint are left out.
-    Every prediction uses this motion."""
+    Every prediction uses this motion. resolution: the rig's step of the encoder, the motor's unit."""
     return _kept(_lines, motor, resolution, _straight_lines)
 
 
 def cut(motor: Motor, until_s: float) -> Motor:
-    """The motor with the readings up to `until_s`, at least one."""
+    """The motor with the readings up to the time `until_s`, s, at least one."""
     known = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
 
     def first(values: Array | None) -> Array | None:
         """A column's known samples; None stays None."""
         return None if values is None else values[known]
 
-    command, others = first(motor.q_cmd), map(first, (motor.translation_mm, motor.rotation_deg, motor.load_mNm))
-    translation, rotation, load = others
-    extra = {name: values[known] for name, values in motor.extra.items()}
-    return Motor(motor.t_s[known], motor.q[known], command, translation, rotation, load, extra)
+    return Motor(
+        motor.t_s[known],
+        motor.q[known],
+        q_cmd=first(motor.q_cmd),
+        translation_mm=first(motor.translation_mm),
+        rotation_deg=first(motor.rotation_deg),
+        load_mNm=first(motor.load_mNm),
+        extra={name: values[known] for name, values in motor.extra.items()},
+    )
 
 
 _noises: WeakKeyDictionary[Motor, float] = WeakKeyDictionary()
@@ -252,7 +251,7 @@ def _stops_of(motor: Motor, resolution: float) -> Stops:
 
 
 def _stops_by_counts(motor: Motor, resolution: float) -> Stops:
-    """As `_stops_of`, which keeps its result."""
+    """As `_stops_of`, which keeps its result: no stops of readings without steps."""
     steps = _steps_of(motor, resolution)
     return Stops([], False) if steps is None else rests_and_turns(motor, steps)
 
@@ -276,7 +275,7 @@ def _straight_lines(motor: Motor, resolution: float) -> Motor:
 def posterior_of(motor: Motor, resolution: float) -> Driven | None:
     """The posterior of the motor's path: of one that slows down to its stops, through fine counts; of one whose speed
     jumps, where readings contradict lines of constant acceleration at stops or have noise and no steps. None for any
-    other motor."""
+    other motor. resolution: the rig's step of the encoder, the motor's unit."""
     return _kept(_paths, motor, resolution, _posterior)
 
 
@@ -289,17 +288,17 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
     if noise >= unsure and swings(motor):  # less is an encoder's own steps
         return None
     if steps is None:
-        told = len(motor.q) >= _FEWEST + 3  # as many third differences tell noise from a bend
-        noisy = told and noise <= _SCATTERS * resolution and _third_difference_score(motor) < _CLEARLY
+        enough = len(motor.q) >= _FEWEST + 3  # as many third differences tell noise from a bend
+        noisy = enough and noise <= _SCATTERS * resolution and _third_difference_score(motor) < _CLEARLY
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
     fine = steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count
     if fine and _stops_of(motor, resolution).slows_down:
-        return _through(motor, steps, 3)
+        return _through(motor, steps, order=3)
     lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:
         return None
-    return _through(motor, steps, 2)
+    return _through(motor, steps, order=2)
 
 
 def _through(motor: Motor, steps: Steps, order: int) -> Driven:
@@ -335,7 +334,8 @@ def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
 
 
 def _levelled_rests(path: Driven) -> Driven:
-    """The path with each rest at its mean; it rests while it moves by less than its own sigma."""
+    """The path with each rest at its mean. It rests where it would move by less than its own sigma in REST_S, for
+    longer than that."""
     slow = np.abs(np.diff(path.q)) * REST_S < path.sigma[1:] * np.diff(path.t_s)
     q = path.q.copy()
     for step in stretches(slow):
@@ -376,18 +376,22 @@ def with_few_knots(motor: Motor, share: float) -> Motor:
 
 
 def _with_few_knots(motor: Motor, tolerance_of: Callable[[Array], float]) -> Motor:
-    """The motor with as many of its samples as straight lines need to stay within each column's tolerance."""
+    """The motor with as many of its samples as straight lines need to stay within each column's tolerance, which
+    tolerance_of gives for its values (n,), in their unit. Without q_cmd and columns of no joint."""
     columns = [motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm, *motor.joints.values()]
     channels = [(values, tolerance_of(values)) for values in columns if values is not None]
     keep = _needed_knots(motor.t_s, channels)
     q, translation, rotation, load, *joints = (None if values is None else values[keep] for values in columns)
     named = {name: values for name, values in zip(motor.joints, joints, strict=True) if values is not None}
     assert q is not None
-    return Motor(motor.t_s[keep], q, None, translation, rotation, load, named)
+    return Motor(
+        motor.t_s[keep], q, translation_mm=translation, rotation_deg=rotation, load_mNm=load, extra=named
+    )  # fmt: skip
 
 
 def _needed_knots(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.bool_]:
-    """Which samples are needed for straight lines between them to be within every channel's tolerance."""
+    """(n,) Which samples are needed for straight lines between them to be within every channel's tolerance. t_s (n,),
+    s; channels: values (n,) and tolerance of each, in its unit."""
     values, tolerances = np.concatenate([v for v, _ in channels]), np.array([tolerance for _, tolerance in channels])
     return np.asarray(_native.thin(t_s, values, tolerances, REST_S), dtype=bool)
 
@@ -404,8 +408,8 @@ def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Ar
     if stops:
         margin = _LAST * float(np.median(np.diff(motor.t_s)))
         ends = np.array([(min(s.since_s, s.start_s - margin), max(s.until_s, s.end_s + margin)) for s in stops])
-        of = np.searchsorted(ends[:, 0], t, side="right") - 1
-        outside = (of < 0) | (t > ends[of, 1])
+        before = np.searchsorted(ends[:, 0], t, side="right") - 1  # the last stop that begins before each knot
+        outside = (before < 0) | (t > ends[before, 1])
         at = np.array([s.start_s for s in stops] + [s.end_s for s in stops])
         stands = np.array([s.q for s in stops] * 2)
         t, first = np.unique(np.concatenate([t[outside], at]), return_index=True)
@@ -414,20 +418,20 @@ def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Ar
     return t, q, fixed
 
 
-def _least_squares_knots(t_s: Array, values: Array, knots: Array, v: Array, fixed: npt.NDArray[np.bool_]) -> Array:
-    """(knots,) Positions at the knots for which straight lines fit all samples best, so that an encoder's steps average
-    out; v where they are fixed."""
+def _least_squares_knots(t_s: Array, values: Array, knots: Array, level: Array, fixed: npt.NDArray[np.bool_]) -> Array:
+    """(k,) Positions at the knots (k,), s, for which straight lines fit all samples values (n,) at t_s (n,) best, so
+    that an encoder's steps average out. level (k,): the positions as they are, which stay where `fixed` (k,)."""
     if len(knots) < 2 or fixed.all():
-        return v
+        return level
     left = np.clip(np.searchsorted(knots, t_s, side="right") - 1, 0, len(knots) - 2)
     share = (t_s - knots[left]) / (knots[left + 1] - knots[left])
-    off = values - ((1 - share) * v[left] + share * v[left + 1])
-    count = len(v)
+    off = values - ((1 - share) * level[left] + share * level[left + 1])
+    count = len(level)
     diagonal = np.bincount(left, (1 - share) ** 2, count) + np.bincount(left + 1, share**2, count)
     beside = np.bincount(left, share * (1 - share), count)
     force = np.bincount(left, (1 - share) * off, count) + np.bincount(left + 1, share * off, count)
     diagonal[fixed], force[fixed] = 1.0, 0.0
     beside[:-1][fixed[:-1] | fixed[1:]] = 0.0
     system = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal + 1e-9])
-    level: Array = v + np.asarray(solveh_banded(system, force))
-    return level
+    best: Array = level + np.asarray(solveh_banded(system, force))
+    return best

@@ -30,9 +30,9 @@ _WHOLE, _MOST = 0.05, 0.95  # tolerance: counts beside a whole one, share of the
 class Steps:
     """Readings are zero + count * counts, counts whole."""
 
-    count: float
-    zero: float
-    counts: Array
+    count: float  # the size of a step, unit of the readings
+    zero: float  # the reading at count 0
+    counts: Array  # (n,) of each reading
 
 
 def steps_of(motor: Motor, resolution: float) -> Steps | None:
@@ -43,11 +43,12 @@ def steps_of(motor: Motor, resolution: float) -> Steps | None:
     if len(moves) < 2:
         return None
     coarser = min(float(moves.min()), _COARSER * resolution)
+    # The rig's step from 0 and from the first reading, then a coarser one: the smallest move is one of its steps.
     for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (coarser, float(motor.q[0]))):
         counts = (motor.q - zero) / count
         whole = np.rint(counts)
         if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < _WHOLE) >= _MOST:
-            return Steps(count, zero, whole)
+            return Steps(count, zero, counts=whole)
     return None
 
 
@@ -86,11 +87,13 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     change of count that tells them are left out."""
     t, counts = motor.t_s, encoder.counts
     changes = np.flatnonzero(np.diff(counts))
+    # Of each of k changes of count: when, s, by how many counts, and where the motor is then, counts.
     at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
-    stops, asked, slowing = [], 0, 0
-    # The count that holds from change i - 1 to change i.
+    stops, asked, slowing = [], 0, 0  # asked: sides of stops, before and after; slowing: those at which it slows down
+    # Below (k + 1,), i of the count that holds from change i - 1 to change i: when it begins, whether the motor turns
+    # in it, how long it lasts.
     edges = np.concatenate([t[:1], at, t[-1:]])
     turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
     lasts = np.diff(edges)
@@ -114,7 +117,7 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
         level = encoder.zero + encoder.count * float(np.mean([side.level for side in sides]))
-        stops.append(Rest(level, start_s, end_s, since, until))
+        stops.append(Rest(q=level, start_s=start_s, end_s=end_s, since_s=since, until_s=until))
     return Stops(stops, 2 * slowing >= asked)
 
 
@@ -132,8 +135,8 @@ def _half_count_s(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: A
 def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, period: float) -> _Vertex | None:
     """How the motor comes to its stop within a count: the vertex of a parabola through as many changes of count, the
     nearest first, as it fits; halfway to the second change, and not sure, where the parabola has no vertex within a
-    count. None for too few changes. Of each of the n changes: at (n,), s; boundary (n,), counts; step (n,), its sign.
-    centre: the count stopped in; period: of the samples, s."""
+    count. None for too few changes. Of each of the changes, the one nearest to the stop first: at (k,), s; boundary and
+    step (k,), counts. centre: the count stopped in; period: of the samples, s."""
     most, least = CHANGES
     way = np.sign(step[0])
     breaks = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
@@ -142,15 +145,24 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
         away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
         gaps = np.diff(since)
         # A change that comes after a while is known to a fraction of a count.
+<<<<<<< HEAD
         sure = np.maximum(1.0, 0.5 * (np.append(gaps[0], gaps) + np.append(gaps, gaps[-1])) / period)
         _, fitted, _ = dgels(np.stack([sure, sure * since, sure * since**2]).T, away * sure)
         if float(np.sqrt(fitted[3:] @ fitted[3:] / n)) <= _FITS:
             offset, speed, bend = fitted[:3].tolist()
+=======
+        sure = np.maximum(1.0, np.gradient(since) / period)
+        powers = np.column_stack([np.ones(n), since, since**2])
+        fitted = np.linalg.lstsq(powers * sure[:, None], away * sure, rcond=None)[0]
+        if float(np.sqrt(np.mean(np.square(sure * (away - powers @ fitted))))) <= _FITS:
+            offset, speed, bend = (float(value) for value in fitted)
+>>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
             has_vertex = bend > 0.0 and speed > 0.0
-            left = offset - speed**2 / (4.0 * bend) if has_vertex else -np.inf  # equation: its value there
+            left = offset - speed**2 / (4.0 * bend) if has_vertex else -np.inf  # equation: `away` at the vertex
             if abs(left) <= 1.0:
-                return _Vertex(speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5)), True)
-            return _Vertex(0.5 * float(since[1]), centre, False)
+                level = centre - way * float(np.clip(left, -0.5, 0.5))  # within the count
+                return _Vertex(lasts_s=speed / (2.0 * bend), level=level, slows=True)
+            return _Vertex(lasts_s=0.5 * float(since[1]), level=centre, slows=False)
         n = int(_FEWER * n)
     return None
 
@@ -193,7 +205,7 @@ def _rest_nodes(
         latest_s = float(t_s[min(first + _UNSEEN, last - 1)])
         since_s = _stands(t_s[: before + 1], q[: before + 1], latest_s, float(t_s[first]))
     if after < length:
-        latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])
+        latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])  # the same with time reversed
         until_s = -_stands(-t_s[after:][::-1], q[after:][::-1], latest_s, -float(t_s[last - 1]))
     if since_s >= until_s:
         return None
@@ -224,6 +236,7 @@ def _turn_node(nodes: Array, near: int) -> tuple[int, int, Array] | None:
         return None
     k = int(turns[np.argmin(np.abs(turns + 1 - min(near, _SLOWING)))])
     at_s = middle[k] - speed[k] * (middle[k + 1] - middle[k]) / (speed[k + 1] - speed[k])
-    there = float(np.interp(t_s[k + 1], middle[k : k + 2], speed[k : k + 2]))
+    speed_there = float(np.interp(t_s[k + 1], middle[k : k + 2], speed[k : k + 2]))  # at the node that is replaced
+    turned_q = q[k + 1] + 0.5 * speed_there * (at_s - t_s[k + 1])  # equation: it falls evenly to 0 at at_s
     first = max(near - _SLOWING, 0) + k
-    return first, first + 2, np.array([[at_s], [q[k + 1] + 0.5 * there * (at_s - t_s[k + 1])], [sigma[k + 1]]])
+    return first, first + 2, np.array([[at_s], [turned_q], [sigma[k + 1]]])

@@ -58,7 +58,7 @@ class Friction:
         return _native.Plays(grid, width, KINDS[self.kind], *values)
 
     def to_json(self) -> dict[str, Any]:
-        """As a model remembers it, plain; Dahl's has no beta."""
+        """The fields as plain values, for model.json; Dahl's has no beta."""
         beta = {"beta": self.beta} if self.kind == BOUC_WEN else {}
         return {"kind": self.kind, "length": self.length, "share": self.share, "exponent": self.exponent, **beta}
 

@@ -35,7 +35,7 @@ def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
 
 
 def rotation(angles_deg: tuple[float, float, float]) -> Array:
-    """Rz(rz) Ry(ry) Rx(rx) from [rx, ry, rz], (3, 3)."""
+    """The rotation matrix (3, 3) Rz(rz) Ry(ry) Rx(rx) of angles [rx, ry, rz], deg."""
     (sx, sy, sz), (cx, cy, cz) = np.sin(np.radians(angles_deg)), np.cos(np.radians(angles_deg))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
@@ -104,10 +104,10 @@ def project(
     return image
 
 
-def across(of: Array, way: Array) -> Array:
+def across(vectors: Array, way: Array) -> Array:
     """(n, ...) The part of image vectors (n, 2, ...) that is normal to the direction `way` (n, 2), of any length."""
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
-    return np.asarray(np.einsum("nk,nk...->n...", np.column_stack([-unit[:, 1], unit[:, 0]]), of))
+    return np.asarray(np.einsum("nk,nk...->n...", np.column_stack([-unit[:, 1], unit[:, 0]]), vectors))
 
 
 def px_per_deg(
@@ -167,6 +167,7 @@ def pose(
         if not len(going):
             break
         before, steep, off = c[going], slope[going], error[going]
+        # equation: J.e / (|J|^2 (1 + damping)), J px per deg, e px; deg
         step = np.sum(steep * off, axis=1) / (np.sum(steep * steep, axis=1) * (1 + damping[going]) + 1e-12)
         trial = before + np.clip(np.nan_to_num(step), -STRIDE_DEG, STRIDE_DEG)
         predicted, steep = project_with_slope(rig, trial, translation[going], turn[going])

@@ -64,9 +64,10 @@ def less_its_trend(t: Array, values: Array, order: int = 1) -> Array:
 
 
 def remembered(rests: Sequence[Array], order: int = 1) -> tuple[float, float]:
-    """Of first-order autoregressive noise in rests (n, k), each less its own trend: its autocorrelation from one frame
-    to the next, and its standard deviation. Subtracting a trend removes slow noise too, so correlated noise leaves
-    much less than white noise: both are corrected for that."""
+    """Of first-order autoregressive noise its autocorrelation from one frame to the next, and its standard deviation.
+    rests: what was seen in each of several rests, (n, k) frames by channels, less its own trend of this order
+    (`less_its_trend`). That removes slow noise too, so correlated noise leaves much less than white noise: both are
+    corrected for that."""
     count: Counter[int] = Counter()
     for rest in rests:
         count[len(rest)] += rest.shape[1]
@@ -83,6 +84,7 @@ def expected_sums(n: int, order: int = 1) -> Array:
     """(2, memories) For n samples of first-order autoregressive noise of unit variance less their trend: the expected
     sum of squares, and the expected sum of products of neighbours, at each rho of MEMORIES."""
     trend = _orthonormal(np.arange(n, dtype=float), order)
+<<<<<<< HEAD
     both_ways = np.hstack([trend, trend[::-1]])
     sums = np.stack([first_order_sums(both_ways, rho) for rho in MEMORIES])
     covered = sums[:, :, : order + 1] + sums[:, ::-1, order + 1 :] - trend  # (memories, n, ...) covariance times trend
@@ -90,6 +92,17 @@ def expected_sums(n: int, order: int = 1) -> Array:
     neighbours = trend[:-1] * covered[:, 1:] + covered[:, :-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:]
     squares = n - np.trace(of_trend, axis1=1, axis2=2)
     return np.array([squares, (n - 1) * MEMORIES - np.sum(neighbours, axis=(1, 2))])
+=======
+    sums = []
+    for rho in MEMORIES:
+        ahead, behind = first_order_sums(trend, rho), first_order_sums(trend[::-1], rho)[::-1]
+        covered = ahead + behind - trend  # covariance times trend
+        of_trend = trend.T @ covered
+        # equation: (n - 1) rho less this is the sum of (I - P) C (I - P) beside its diagonal, P onto the trend
+        neighbours = np.sum(trend[:-1] * covered[1:] + covered[:-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:])
+        sums.append([n - np.trace(of_trend), (n - 1) * rho - neighbours])
+    return np.array(sums).T
+>>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
 
 
 def first_order_sums(values: Array, rho: float) -> Array:

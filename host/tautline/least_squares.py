@@ -27,13 +27,15 @@ _RIDGE, _FLOOR = 1e-9, 1e-12  # tolerance: of a factor: of the diagonal, and bes
 
 
 class Problem(Protocol[Point]):
+    """A cost that `descend` makes small, of unknowns that the problem itself keeps in its points."""
+
     def linearised(self, point: Point) -> tuple[Array, Array, float]:
-        """Normal matrix, gradient (the direction that lowers the cost) and cost at a point, priors included. Robust
-        weights stay until the next call."""
+        """Normal matrix (m, m), gradient (m,), in the direction that lowers the cost, and cost at a point, priors
+        included. Robust weights stay until the next call."""
         ...
 
     def moved(self, point: Point, step: Array) -> Point:
-        """The point a step further, within what the unknowns may be."""
+        """The point a step (m,) further, within what the unknowns may be."""
         ...
 
     def cost(self, point: Point) -> float:
@@ -41,12 +43,13 @@ class Problem(Protocol[Point]):
         ...
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether the step that `gained` was the last; `cost` was there before it."""
+        """Whether a step that lowered the cost by `gained`, from `cost`, was the last that is worth making."""
         ...
 
 
 def descend(problem: Problem[Point], point: Point, most: int) -> Point:
-    """The best point after at most `most` damped Gauss-Newton steps."""
+    """The best point after at most `most` damped Gauss-Newton steps from `point`: a step that raises the cost is tried
+    again with more damping, and if none lowers it, the search ends."""
     damping = _DAMPING
     for _ in range(most):
         matrix, gradient, cost = problem.linearised(point)
@@ -72,7 +75,8 @@ def descend(problem: Problem[Point], point: Point, most: int) -> Point:
 
 
 def factor(matrix: Array) -> tuple[Array, bool]:
-    """Cholesky factor of the matrix with a negligible ridge. Raises LinAlgError."""
+    """Cholesky factor of the matrix (m, m) with a negligible ridge, as cho_solve takes it. LinAlgError where it is not
+    positive definite."""
     factored: tuple[Array, bool] = cho_factor(with_ridge(matrix), overwrite_a=True, check_finite=False)
     return factored
 

@@ -40,7 +40,7 @@ class Effect:
     parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
 
     def to_json(self) -> dict[str, Any]:
-        """As model.json has it, plain."""
+        """The fields as plain values, as model.json has them."""
         return {"id": self.id, "parameters": dict(self.parameters)}
 
     @classmethod
@@ -56,20 +56,20 @@ class Effect:
 
 @dataclass(frozen=True)
 class Deviation:
-    """What a model has instead where all that is unknown of it is otherwise together."""
+    """What a model would have instead of its own if all of its unknowns were off together, one way."""
 
-    width: Array  # (n,)
-    c_deg: Array  # (n,)
+    width: Array  # (n,) B on the model's grid, unit of q
+    c_deg: Array  # (n,) f_remain
     delay_s: float
     effects: tuple[Effect, ...]
 
     @classmethod
     def of(cls, model: Model) -> Self:
-        """Of a model that is otherwise."""
+        """The tables, delay and effects of `model`, in which the unknowns are off."""
         return cls(model.width, model.c_deg, model.delay_s, model.effects)
 
     def to_json(self) -> dict[str, Any]:
-        """As model.json has it, plain."""
+        """The fields as plain values, as model.json has them."""
         return {
             "width": np.round(self.width, _DIGITS).tolist(),
             "c_deg": np.round(self.c_deg, _DIGITS).tolist(),
@@ -98,7 +98,7 @@ class Uncertainty:
     discrepancy: Discrepancy | None = None  # of a corrected simulator
 
     def to_json(self) -> dict[str, Any]:
-        """As model.json has it, plain."""
+        """The fields as plain values, as model.json has them."""
         by_delay, times, apart = self.width_by_delay, self.noise_times, self.discrepancy
         return {
             "noise": self.noise,
@@ -329,13 +329,14 @@ def _document(folder: Path) -> dict[str, Any]:
 def _of_before(extra: Mapping[str, Any]) -> dict[str, Any]:
     """The uncertainty of a model that was written before 2026-11-27, when it stood among what the report shows."""
     evidence, by_delay = extra.get("evidence", {}), extra.get("width_by_delay")
-    left = [value for name in ("residual", "error") if (value := evidence.get(name)) is not None and value > 0.0]
-    whole = by_delay if by_delay is not None and None not in by_delay else None
-    return {**extra, "noise": max(left, default=None), "width_by_delay": whole}
+    rms = [value for name in ("residual", "error") if (value := evidence.get(name)) is not None and value > 0.0]
+    if by_delay is not None and None in by_delay:  # not known everywhere
+        by_delay = None
+    return {**extra, "noise": max(rms, default=None), "width_by_delay": by_delay}
 
 
 def is_backlash_table(grid: Array, width: Array) -> bool:
-    """Whether the play is unique on it: grid rising, width >= 0, |width'| < 2."""
+    """Whether the play is unique on a table of B, width (n,) at grid (n,): grid rising, width >= 0, |width'| < 2."""
     step = np.diff(grid)
     return bool((step > 0).all() and (width >= 0).all() and (np.abs(np.diff(width)) < 2 * step).all())
 
@@ -358,13 +359,14 @@ def monotone(c_deg: Array) -> Array:
     """f_remain (n,), deg, made strictly rising or falling where it is level, as a model's must be, by a millionth of
     its mean slope."""
     sign = np.sign(c_deg[-1] - c_deg[0])
-    least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
-    rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)
-    return rising
+    ramp = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))  # what it rises by at least
+    strict: Array = sign * (np.maximum.accumulate(sign * c_deg - ramp) + ramp)
+    return strict
 
 
 def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
-    """Linear between the points of a rising grid; beyond its ends with the slope of the last span."""
+    """values (n,) at a rising grid (n,), interpolated linearly at x of any shape; beyond the ends with the slope of the
+    last span."""
     x = np.asarray(x, dtype=float)
     first = (values[1] - values[0]) / (grid[1] - grid[0])
     last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
@@ -373,14 +375,16 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
 
 
 def interpolate_inverse(y: npt.ArrayLike, grid: Array, values: Array) -> Array:
-    """Where `interpolate` of strictly monotone values, rising or falling, on a rising grid is y, of any shape."""
+    """Where `interpolate` of strictly monotone values (n,), rising or falling, on a rising grid (n,) is y; y and the
+    result are of any one shape."""
     rising = slice(None) if values[-1] > values[0] else slice(None, None, -1)
     return interpolate(y, values[rising], grid[rising])
 
 
 def play_at(t_s: Array, q: Array, at_s: Array, play: Play, p0: float) -> Array:
-    """The play's centre coordinate at times at_s (any order), driven by the motor samples (t_s, q) with straight lines
-    between them and q held before and after them. p0 is the state before the first sample, NaN: the centre."""
+    """(m,) The play's centre coordinate, unit of q, at times at_s (m,), s, in any order, driven by the motor's samples
+    t_s, q (n,) with straight lines between them and q held before and after them. p0: the state before the first
+    sample, NaN: the centre."""
     times = np.concatenate([t_s, at_s])
     positions = np.concatenate([q, np.interp(at_s, t_s, q)])
     order = np.argsort(times, kind="stable")

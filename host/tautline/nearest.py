@@ -30,21 +30,24 @@ _PLAYS: int = _native.TABLE_PLAYS_MAX
 
 @dataclass(frozen=True)
 class Nearest:
+    """The plays that come nearest to a hysteresis, and how near they are on the loops that they were fitted to."""
+
     elements: Elements
     left: float  # rms of how far they are off on these loops, unit of q
     undoes: float  # rms of what there is to undo: motor less tip
 
     @property
     def share(self) -> float:
-        """Of what there is to undo, that they leave."""
+        """The share of what there is to undo that these plays leave."""
         return self.left / max(self.undoes, 1e-300)
 
 
 def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tuple[float, float]) -> Nearest:
-    """The plays nearest to a hysteresis on loops of all sizes within `reached`, and their error: least squares, first
-    of weights at fixed widths, then of both. One play where there is no backlash."""
+    """The plays nearest to a hysteresis on loops of all sizes between the two ends `reached`, unit of q, and their
+    error: least squares, first of weights at fixed widths, then of both. One play where there is no backlash. grid,
+    width (n,): the table of B, unit of q."""
     if not np.any(width > 0.0):
-        return Nearest(SINGLE, 0.0, 0.0)
+        return Nearest(SINGLE, left=0.0, undoes=0.0)
     q = _test_motion(grid, width, reached)
     p = Play(grid, width, hysteresis).forward(q)
     warp = warp_of(grid, width, Play(grid, width).narrow)
@@ -53,11 +56,13 @@ def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tu
     y = 0.5 * (np.interp(p + half, warp.q, warp.x) + np.interp(p - half, warp.q, warp.x))
     elements = _fitted_elements(np.interp(q, warp.q, warp.x), y)
     off = Play(grid, width, elements).forward(q) - p
-    return Nearest(elements, float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean((q - p) ** 2))))
+    left, undoes = (float(np.sqrt(np.mean(each**2))) for each in (off, q - p))
+    return Nearest(elements, left=left, undoes=undoes)
 
 
 def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
-    """Motor positions of a random motion with full strokes, strokes to anywhere and small loops of all sizes."""
+    """(n,) Motor positions of a random motion between the two ends `reached`, unit of q: full strokes, strokes to
+    anywhere and small loops of all sizes, _SAMPLES a backlash. The same each time. grid, width: the table of B."""
     low, high = reached
     usual = float(np.mean(width[(grid >= low) & (grid <= high)]))
     rng = np.random.default_rng(0x100B)
@@ -106,7 +111,7 @@ def _fitted_elements(x: Array, y: Array) -> Elements:
         return share / float(weight @ share), weight
 
     def off(unknowns: Array) -> Array:
-        """(n,) Their mean less y."""
+        """(n,) The weighted mean of the plays with these unknowns, less y."""
         share, weight = parts(unknowns)
         return np.asarray(_elements_response(x, share) @ weight - y)
 
@@ -121,7 +126,7 @@ def fewer(width: Array, weight: Array) -> Elements:
     weight = weight / weight.sum()
     sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
     ends = _least_scatter_runs(sums)
-    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
+    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]  # of each run: weight, times width
     means = np.array([first / w for w, first in parts])
     shares = np.array([w for w, _ in parts])
     keep = np.concatenate([[True], np.diff(means) > 1e-9])
@@ -142,7 +147,8 @@ def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
         w, first, second = sums[:, j] - sums[:, i]
         return float(second - first * first / w)
 
-    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}  # by (runs, end of the last)
+    # By (runs, end of the last): the least scatter, and the ends of the runs that have it.
+    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
     for runs in range(1, _PLAYS + 1):
         for end in range(1, n + 1):
             tried = [

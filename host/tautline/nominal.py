@@ -24,13 +24,13 @@ _STEEP = 0.05  # tolerance: least dq/dp: half of what an allowed B, |B'| <= 1.8,
 class Rows:
     """Observations linearised: d prediction = by_c dc + columns dx, where dc = by_width dB(p) + by_follow df(tip)."""
 
-    p: Array  # (n,) as the next three
-    tip: Array
-    by_width: Array
-    by_follow: Array
-    by_c: Array  # (n, k)
+    p: Array  # (n,) where B counts, unit of q
+    tip: Array  # (n,) where the curve that follows p is looked up
+    by_width: Array  # (n,)
+    by_follow: Array  # (n,)
+    by_c: Array  # (n, k) k: u and v, px, or an angle, deg
     columns: Array  # (n, k, m) of the other unknowns x
-    residual: Array  # (n, k)
+    residual: Array  # (n, k) what was seen less what is predicted
 
     def moved(self, width: Array, follow: Array) -> Array:
         """(n, k) The change of the prediction by what is added to B at p and to f at tip, (n,) both."""
@@ -46,13 +46,13 @@ class Normal:
 
     @classmethod
     def zeros(cls, size: int) -> Normal:
-        """Those of no rows, for `size` unknowns: what others are added to."""
+        """The normal equations of no rows, for `size` unknowns: what others are added to."""
         return cls(np.zeros((size, size)), np.zeros(size))
 
     @classmethod
     def of_sparse(cls, blocks: Sequence[csr_matrix], weight: Array, residual: Array) -> Normal:
-        """Those of rows of any columns, most of their entries 0: blocks (n, m_i) side by side; weight, residual:
-        (n,)."""
+        """The normal equations of n rows most of whose entries are 0. blocks: the columns, (n, m_i) each, side by side;
+        weight, residual (n,)."""
         for block in blocks:
             block.sort_indices()
         normal = cls.zeros(sum(int(block.shape[1]) for block in blocks))

@@ -49,7 +49,7 @@ def _ended(name: str) -> Any:
 
 @contextmanager
 def _processes(jobs: int, died: Died) -> Iterator[Pool]:
-    """A pool of processes on this machine, ended with the block."""
+    """A pool of `jobs` processes on this machine, ended with the block. died: as of `pool`."""
     # Each library reads its own variable when a worker starts: one core a case, and no two cases on one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -90,15 +90,16 @@ class _Processes:
     def _submit(
         self, function: Callable[..., Any], task: Task, waiting: dict[Future[Any], Task], lost: list[Task]
     ) -> None:
-        """Submits a task; it counts as lost if the pool is already broken."""
+        """Submits a task, which then stands in `waiting` by its future; into `lost` it goes if the pool is already
+        broken, as a worker has died."""
         try:
             waiting[self.executor.submit(function, *task[1])] = task
         except BrokenProcessPool:
             lost.append(task)
 
     def _collected(self, function: Callable[..., Any], waiting: dict[Future[Any], Task], lost: list[Task]) -> Done:
-        """Results that are there; once a worker has died, of all that wait, and then the lost tasks run again one by
-        one."""
+        """Yields (name, result) of the tasks in `waiting` that are done, and takes them out; those whose worker died go
+        into `lost`. Where there is one, waits for all the others, and then runs the lost ones again one by one."""
         for future in wait(waiting, return_when=FIRST_COMPLETED).done if not lost else list(waiting):
             task = waiting.pop(future)
             try:

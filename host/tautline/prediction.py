@@ -50,6 +50,8 @@ class Times:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Value):
+    """What a model says the tip does, at n times."""
+
     c_deg: Array  # (n,)
     image_px: Array | None  # (n, 2); None without a camera
     c_sigma_deg: Array | None = None  # (n,) one standard deviation of what the sensor would show, model error and noise
@@ -67,42 +69,47 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 def predict_with_sigma(
     model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None
 ) -> Prediction:
-    """`predict` with one standard deviation of what the sensor would show: the uncertainty of B, f_remain, the delay,
-    the motor's path and, unless start_deg is given, of the start within the backlash, propagated by differences through
-    the chain; of a corrected simulator that of all its unknowns together, and more where the motion is unlike those
-    that it was fitted to; and the noise."""
+    """`predict` at scene times (n,), s, with one standard deviation of what the sensor would show: the uncertainty of
+    B, f_remain, the delay, the motor's path and, unless start_deg is given, of the start within the backlash,
+    propagated by differences through the chain; of a corrected simulator that of all its unknowns together, and more
+    where the motion is unlike those that it was fitted to; and the noise."""
     scene = _scene_times(scene_s)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     model_sigma = _model_sigma(model, path, scene, start_deg)
     if (apart := _deviations(model, motor, scene, start_deg)) is not None:
         model_sigma = np.hypot(model_sigma, apart)
-    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))
+    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))  # px, or deg of an angle
     if told.image_px is None:
-        return Prediction(told.c_deg, None, np.hypot(model_sigma[:, 0], noise))
-    by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
-    by_marker = model.sensor == MARKER
-    noise_px, noise_deg = (noise[:, None], noise / by_c) if by_marker else ((noise * by_c)[:, None], noise)
+        return Prediction(told.c_deg, image_px=None, c_sigma_deg=np.hypot(model_sigma[:, 0], noise))
+    steepness = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
+    noise_px, noise_deg = (noise, noise / steepness) if model.sensor == MARKER else (noise * steepness, noise)
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
-    angle = np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
-    return Prediction(told.c_deg, told.image_px, angle, np.hypot(model_sigma[:, 1:], noise_px))
+    return Prediction(
+        told.c_deg,
+        told.image_px,
+        c_sigma_deg=np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2),
+        image_sigma_px=np.hypot(model_sigma[:, 1:], noise_px[:, None]),
+    )
 
 
 def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float | None) -> Array:
     """(n, 1 or 3) One standard deviation, deg and px, of the predicted rows at scene times (n,), s, by the uncertainty
     of B, f_remain, the delay, the motor's path and, without start_deg, the start, by differences through the chain. Not
     in it is what no image shows of f_remain (`_unseen_deg`)."""
-    known = _input_uncertainty(model, path, start_deg)
+    inputs = _input_uncertainty(model, path, start_deg)
+    delay_sigma_s = float(inputs.sigma[2])
     unseen_deg = _unseen_deg(model, model.c_deg)
-    with_delay = width_by_delay(model, float(known.sigma[2]))  # of B's sigma the part that goes with the delay's
-    by_delay = with_delay / known.sigma[2] if known.sigma[2] > 0.0 else with_delay
+    with_delay = width_by_delay(model, delay_sigma_s)  # of B's sigma the part that goes with the delay's
+    by_delay = with_delay / delay_sigma_s if delay_sigma_s > 0.0 else with_delay
     without_delay = np.sqrt(np.maximum(model.width_sigma**2 - with_delay**2, 0.0))
     # Where all unknowns of a corrected simulator are off together, the law is among them.
     c_sigma = None if model.uncertainty.deviations else model.c_sigma
     fitted_deg = None if c_sigma is None else np.sqrt(np.maximum(c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
-        """The prediction (n, 1 or 3) with these deviations: of B and f_remain in sigmas, delay, start and motor."""
+        """The prediction (n, 1 or 3) with these deviations (5,), as of `_input_uncertainty`: of B and f_remain in
+        sigmas, delay, start and motor."""
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
@@ -115,9 +122,9 @@ def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float |
             begins = float(moved.remaining(lines.q[0] + start * 0.5 * float(model.width.max())))
         return Chain(moved).at(replace(path, lines=lines), scene - delay_s, begins).rows
 
-    slopes = by_differences(rows, known.mean, known.sigma)
-    slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
-    return known.spread(slopes)
+    slopes = by_differences(rows, inputs.mean, inputs.sigma)
+    slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)  # the motor's is its own at each time
+    return inputs.spread(slopes)
 
 
 def _scene_times(scene_s: npt.ArrayLike) -> Array:
@@ -138,7 +145,8 @@ def _noise_at(model: Model, c_deg: Array) -> Array:
 
 def _deviations(model: Model, motor: Motor, scene_s: Array, start_deg: float | None) -> Array | None:
     """(n, 1 or 3) One standard deviation of the prediction by what all of a corrected simulator's unknowns are off
-    together: half of what lies between the two models of each pair, in squares. None where the model tells of none."""
+    together: half of what lies between the two models of each pair, root of the sum of squares over the pairs. None
+    where the model tells of none."""
     pairs = model.uncertainty.deviations
     if not pairs:
         return None
@@ -195,7 +203,8 @@ def settled_from(model: Model, motor: Motor) -> float:
 
 
 def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
-    """The time from which q has moved by more than `width` in both directions; infinite where it never has."""
+    """The time, s, from which a motor at q (n,) at times t_s (n,) has moved by more than `width`, unit of q, in both
+    directions; infinite where it never has."""
     up = np.flatnonzero(q - np.minimum.accumulate(q) > width)
     down = np.flatnonzero(np.maximum.accumulate(q) - q > width)
     if len(up) == 0 or len(down) == 0:
@@ -204,7 +213,8 @@ def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
 
 
 def residuals(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> Array:
-    """Seen less predicted at scene times. seen: (n, 2) px, or (n,) or (n, 1) deg; the result has the same shape."""
+    """Seen less predicted at scene times (n,), s. seen: (n, 2) px, or (n,) or (n, 1) deg; the result has the same
+    shape."""
     told = predict(model, motor, scene_s)
     if seen.ndim == 2 and seen.shape[1] == 2:
         assert told.image_px is not None  # the model has a camera
@@ -215,14 +225,14 @@ def residuals(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -
 def foretold(model: Model, recording: Recording, settled_by: Model | None = None) -> float:
     """Rms of the model's error on a recording, px a coordinate, or deg without a marker, once both directions were
     driven through the backlash (of `settled_by`, if given). TautError where they never were."""
-    usual, motor = settled_by or model, recording.motor
-    begin_s = settled_from(usual, motor)
+    scored_by, motor = settled_by or model, recording.motor  # whose backlash and delay say which frames count
+    begin_s = settled_from(scored_by, motor)
     if not np.isfinite(begin_s):
         raise TautError(
             f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
         )
     sensor, arrival_s, valid, seen = _observed(model, recording)
-    counted = valid & _counted(arrival_s - usual.delay_of(sensor), begin_s, motor)
+    counted = valid & _counted(arrival_s - scored_by.delay_of(sensor), begin_s, motor)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
     return rms([residuals(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
@@ -271,16 +281,17 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
         z = off / sigma
     known = z[np.isfinite(z)]
     return Score(
-        int(counted.sum()),
-        "px" if by_image else "deg",
-        rms([off]),
-        float(np.sqrt(np.mean(known**2))) if len(known) else float("nan"),
-        float(np.mean(np.abs(known) < spread.NINE_OF_TEN)) if len(known) else float("nan"),
+        rows=int(counted.sum()),
+        unit="px" if by_image else "deg",
+        rms=rms([off]),
+        over_sigma=float(np.sqrt(np.mean(known**2))) if len(known) else float("nan"),
+        within_90=float(np.mean(np.abs(known) < spread.NINE_OF_TEN)) if len(known) else float("nan"),
     )
 
 
 def rms(off: Sequence[Array]) -> float:
-    """Root mean square of all; infinite where a predicted place cannot be in the image."""
+    """Root mean square of all elements of these arrays, seen less predicted; infinite where one is NaN, as where a
+    predicted place cannot be in the image."""
     value = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
     return value if np.isfinite(value) else float("inf")
 
@@ -298,7 +309,8 @@ def times_of(
         (folder / "frames.csv" if rig.camera else None, model.delay_of(MARKER if rig.has_camera else ANGLE)),
     ):
         if path is not None and (path == file or path.exists()):
-            return Times(*read_times(path, warnings), delay_s)
+            cells, arrival_s = read_times(path, warnings)
+            return Times(cells, arrival_s, delay_s)
     if rig.camera is None:
         t_s = motor.t_s + model.delay_s
     else:

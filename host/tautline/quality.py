@@ -29,6 +29,7 @@ class Reason:
     mild: bool = False  # worth knowing; sigma and predictions hold all the same
 
     def __str__(self) -> str:
+        """What is wrong, and what to do, in a sentence."""
         return f"{self.says}: {self.remedy}"
 
 
@@ -52,11 +53,11 @@ class Quality:
 
     @classmethod
     def of(cls, reasons: Sequence[Reason]) -> Self:
-        """What makes the calibration unusable before the rest, what is mild after it, otherwise in the order given."""
+        """The quality by these reasons, each once: fatal ones first, mild ones last, otherwise in the order given."""
         return cls(tuple(sorted(dict.fromkeys(reasons), key=lambda reason: reason.mild - reason.fatal)))
 
     def to_json(self) -> dict[str, Any]:
-        """As a model remembers it, plain."""
+        """Verdict and reasons as plain values, for model.json."""
         return {"verdict": self.verdict.value, "reasons": [asdict(reason) for reason in self.reasons]}
 
     @classmethod
@@ -65,11 +66,11 @@ class Quality:
         return cls(
             tuple(
                 Reason(
-                    str(r["code"]),
-                    str(r["says"]),
-                    str(r["remedy"]),
-                    bool(r.get("fatal", False)),
-                    bool(r.get("mild", False)),
+                    code=str(r["code"]),
+                    says=str(r["says"]),
+                    remedy=str(r["remedy"]),
+                    fatal=bool(r.get("fatal", False)),
+                    mild=bool(r.get("mild", False)),
                 )
                 for r in document["reasons"]
             )

@@ -82,9 +82,14 @@ class Motor(Value):
             """A column (n,) at t_s; None where there is none."""
             return None if values is None else np.interp(t_s, self.t_s, values)
 
-        translation, rotation, load = map(at, (self.translation_mm, self.rotation_deg, self.load_mNm))
-        extra = {name: np.interp(t_s, self.t_s, values) for name, values in joints.items()}
-        return Motor(t_s, q, None, translation, rotation, load, extra)
+        return Motor(
+            t_s,
+            q,
+            translation_mm=at(self.translation_mm),
+            rotation_deg=at(self.rotation_deg),
+            load_mNm=at(self.load_mNm),
+            extra={name: np.interp(t_s, self.t_s, values) for name, values in joints.items()},
+        )
 
 
 @dataclass(frozen=True)
@@ -128,6 +133,8 @@ class Angle(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Video(Value):
+    """A video of the tip, and when its frames arrived."""
+
     path: Path
     arrival_s: Array | None  # of each frame, from frames.csv, NaN where it is not named; None: the container's times
 
@@ -170,8 +177,16 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
             folder / "motor.csv", motor.t_s, folder / "frames.csv", video.arrival_s[np.isfinite(video.arrival_s)]
         )
     picture = folder / PICTURE_NAME
-    kept = picture if picture.is_file() else None
-    return Recording(folder.resolve().name, motor, marker, angle, video, own, tuple(warnings), kept)
+    return Recording(
+        folder.resolve().name,
+        motor,
+        marker,
+        angle,
+        video,
+        rig=own,
+        warnings=tuple(warnings),
+        picture=picture if picture.is_file() else None,
+    )
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
@@ -217,7 +232,8 @@ def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) ->
 
 
 def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
-    """Reads a file with the columns of motor.csv."""
+    """Reads a file with the columns of motor.csv, q in the rig's unit. warnings: gets what was mended. TautError, with
+    file and line, where it is none, is in another unit, or the motor is absurdly far beyond the rig's range."""
     warnings = [] if warnings is None else warnings
     unit = rig.actuator.unit
     q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
@@ -339,7 +355,8 @@ def _row(row: int) -> str:
 
 
 def _check_columns(columns: Mapping[str, Array], name: str, finite: Sequence[str] = ("t_s",)) -> None:
-    """TautError where columns have not one length, those named hold what is no finite number, or t_s does not rise."""
+    """TautError where columns, by name, have not one length, those named in `finite` hold what is no finite number, or
+    t_s does not rise. name: of what they are of, for the text."""
     lengths = {each: np.shape(values) for each, values in columns.items()}
     if len(set(lengths.values())) > 1 or any(len(shape) != 1 for shape in lengths.values()):
         told = ", ".join(f"{each} {'x'.join(map(str, shape))}" for each, shape in lengths.items())
@@ -427,7 +444,8 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:
-    """Reads marker.csv."""
+    """Reads marker.csv. Rows that claim to be valid without a finite place in an image are taken as not valid, and a
+    sigma_px that is not above 0 throughout is left out. warnings: gets what was mended."""
     columns = read_columns(file, layouts.MARKER.required(), layouts.MARKER.header())
     t_s = columns.rising_times()
     u_px, v_px = columns.raw("u_px"), columns.raw("v_px")
@@ -449,10 +467,10 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
         t_s,
         np.where(valid, u_px, np.nan),
         np.where(valid, v_px, np.nan),
-        valid,
-        sigma_px,
-        _extra(columns, set(layouts.MARKER.names())),
-        frame_px,
+        valid=valid,
+        sigma_px=sigma_px,
+        extra=_extra(columns, set(layouts.MARKER.names())),
+        frame_px=frame_px,
     )
 
 
@@ -475,7 +493,8 @@ def _sizes(marker: Marker) -> dict[str, Array]:
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:
-    """Reads angle.csv."""
+    """Reads angle.csv; its rows without a finite angle are not valid. warnings: gets what was mended. TautError where
+    no row is valid."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header())
     t_s = columns.rising_times()
     c_deg = columns.raw("c_deg")
@@ -489,12 +508,14 @@ def _load_angle(file: Path, warnings: list[str]) -> Angle:
     if lost := int(np.sum(~finite if stated is None else stated & ~finite)):
         columns.warnings.append(f"{file}: {lost} rows have no finite c_deg: taken as not valid")
     warnings += columns.warnings
-    kept = None if stated is None and finite.all() else valid
-    return Angle(t_s, np.where(valid, c_deg, np.nan), kept, _extra(columns, set(layouts.ANGLE.names())))
+    or_none = None if stated is None and finite.all() else valid  # None: all are
+    extra = _extra(columns, set(layouts.ANGLE.names()))
+    return Angle(t_s, np.where(valid, c_deg, np.nan), valid=or_none, extra=extra)
 
 
 def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | None:
-    """The folder's video with its frames' arrival times; None where there is none."""
+    """The folder's video with its frames' arrival times; None where there is none. tracked: a marker.csv has the
+    frames' times, so that a missing frames.csv is nothing to warn of."""
     path = next((folder / name for name in VIDEO_NAMES if (folder / name).exists()), None)
     if path is None:
         return None
@@ -517,7 +538,7 @@ def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | Non
 
 
 def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> None:
-    """TautError where a file's times do not overlap the motor's."""
+    """TautError where a file's times t_s (m,), rising, do not overlap the motor's, motor_s (n,), both s."""
     if t_s[0] <= motor_s[-1] and t_s[-1] >= motor_s[0]:
         return
     raise TautError(
@@ -532,7 +553,7 @@ def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
 
 
 def _write(path: Path, columns: Mapping[str, Array | None]) -> None:
-    """Writes columns as a CSV file."""
+    """Writes columns (n,) by name as a CSV file; those that are None are left out."""
     present = {name: values for name, values in columns.items() if values is not None}
     rows = max((len(values) for values in present.values()), default=0)
     for first in range(0, max(rows, 1), _WRITTEN_ROWS):

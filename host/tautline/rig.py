@@ -31,6 +31,8 @@ ANGLE: Sensor = "angle"
 
 @dataclass(frozen=True)
 class Actuator:
+    """The motor that bends the instrument."""
+
     unit: str  # of q everywhere: "mm" of cable travel or "deg" of a spindle
     range: tuple[float, float]  # useful motor range, unit
     encoder_resolution: float  # unit per count
@@ -107,8 +109,8 @@ class Place:
     sigma_deg: tuple[float, ...]  # (PLACES,) of an angle that is told by this place, alike along the curve
 
     def sigma_at(self, c_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """(n,) One standard deviation, deg, of the angle at c by not knowing where the place lies; it is in no
-        predicted image."""
+        """(n,) One standard deviation, deg, of the angles c_deg (n,) by not knowing where the place lies. No predicted
+        image has this error: it shifts the angle and leaves the image as it is."""
         at = self.from_deg + self.step_deg * np.arange(PLACES)
         return np.asarray(np.interp(np.asarray(c_deg, dtype=float), at, self.sigma_deg))
 
@@ -260,6 +262,8 @@ _NEEDED = ("actuator", "coarse")  # the others are there with a camera, or an an
 
 @dataclass(frozen=True)
 class Rig:
+    """What is known of a set-up before calibration."""
+
     actuator: Actuator
     coarse: Coarse
     kinematics: Kinematics | None = None  # None with angle.csv alone
@@ -312,7 +316,7 @@ class Rig:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """rig.toml. Raises TautError with the key that is missing or wrong."""
+        """Reads a rig.toml. TautError with the key that is missing or wrong."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8-sig")
@@ -355,7 +359,7 @@ class Rig:
         if camera and camera.mount != "tip" and not (kinematics and hand_eye):
             missing = "kinematics" if kinematics is None else "hand_eye"
             raise TautError(f"{where}: has [camera] but no [{missing}] section, which a marker's pose needs: add it")
-        return cls(actuator, coarse, kinematics, camera, hand_eye, _unknown(document), angle)
+        return cls(actuator, coarse, kinematics, camera, hand_eye, extra=_unknown(document), angle=angle)
 
     def to_document(self) -> dict[str, Any]:
         """What rig.toml holds: the sections that are there, and unknown keys as they were read."""
@@ -386,7 +390,7 @@ def _wrong(where: str, name: str, says: str) -> TautError:
 
 
 def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys and sections that no definition has."""
+    """The sections, and within known sections the keys, that no definition has, as the document has them."""
     extra: dict[str, Any] = {}
     for key, value in document.items():
         if key == "format":

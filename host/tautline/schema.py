@@ -80,7 +80,8 @@ class Section:
     file: str = "rig"  # of its topics: 'taut explain FILE.SECTION.KEY'
 
     def read(self, document: Mapping[str, Any], where: str) -> dict[str, Any]:
-        """The section's keys that are there, checked, by name; TautError for a missing section or key."""
+        """The section's keys that are there, checked, by name. document: of the whole file, which `where` names in a
+        TautError: for a missing section or key, or a value that it does not take."""
         table = document.get(self.name)
         topic = f"{self.file}.{self.name}"
         if table is not None and not isinstance(table, Mapping):

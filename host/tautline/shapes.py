@@ -48,10 +48,12 @@ _LEAST = 0.1, 0.05, 0.2  # prior: and at least so much of B (offset), of the sca
 
 @dataclass(frozen=True)
 class Shape:
+    """One shape of the shaft, beside the library's first one."""
+
     name: str
-    offset: float = 0.0  # unit of q
-    scale: float = 1.0
-    current_mA: float | None = None
+    offset: float = 0.0  # of the transmission, unit of q
+    scale: float = 1.0  # of B
+    current_mA: float | None = None  # mean, in use
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ class Seen:
 
 @dataclass(frozen=True)
 class Library:
+    """A library of shapes as its index lists them."""
+
     folder: Path
     shapes: tuple[Shape, ...] = ()
 
@@ -125,7 +129,7 @@ class Library:
         return made
 
     def own(self, model: Model) -> Shape | None:
-        """The shape whose model this is."""
+        """The shape whose model this is, by what tables are made from; None where it is none of the library's."""
         wanted = tables.model_id(model)
         return next((s for s in self.shapes if tables.model_id(self.model(s.name)) == wanted), None)
 
@@ -134,12 +138,12 @@ class Library:
         `width`; None where none or several do."""
         fits = []
         for shape in self.shapes:
-            by = (seen.offset - (shape.offset - own.offset), seen.scale - shape.scale / own.scale)
+            off = (seen.offset - (shape.offset - own.offset), seen.scale - shape.scale / own.scale)
             most = (
                 max(_SIGMAS * seen.offset_sigma, _LEAST[0] * width),
                 max(_SIGMAS * seen.scale_sigma, _LEAST[1]),
             )
-            near = all(abs(b) <= m for b, m in zip(by, most, strict=True))
+            near = all(abs(each) <= limit for each, limit in zip(off, most, strict=True))
             if near and seen.current_mA is not None and shape.current_mA is not None:
                 near = abs(seen.current_mA - shape.current_mA) <= _LEAST[2] * abs(shape.current_mA)
             if near:
@@ -158,11 +162,12 @@ def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
         raise TautError("the two models were measured in ranges that do not overlap: calibrate in the same range")
     q = np.linspace(low, high, 201)
     order = np.argsort(first.c_deg)
-    c = np.asarray(other.remaining(q))  # the bending angle at q where nothing is lost; below, at which q `first` has it
-    inside = (c >= first.c_deg.min()) & (c <= first.c_deg.max())
+    other_deg = np.asarray(other.remaining(q))
+    inside = (other_deg >= first.c_deg.min()) & (other_deg <= first.c_deg.max())
     if not inside.any():
         raise TautError("the two models have no bending angle in common: they are not of one instrument")
-    offset = float(np.median(np.interp(c[inside], first.c_deg[order], first.q[order]) - q[inside]))
+    q_of_first = np.interp(other_deg[inside], first.c_deg[order], first.q[order])  # where it has the same angles
+    offset = float(np.median(q_of_first - q[inside]))
     mean = [float(np.mean(np.interp(q, m.q, m.width))) for m in (first, other)]
     if not min(mean) > 0.0:
         raise TautError("a model without backlash cannot be told apart by its width: leave it out")

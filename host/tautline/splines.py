@@ -76,7 +76,7 @@ class Basis:
         return np.asarray(table[before] * (1.0 - share) + table[before + 1] * share)
 
     def slope(self, coefficients: Array, x: Array) -> Array:
-        """As `value`, the curve's derivative; beyond the ends that at the nearer one."""
+        """The curve's derivative at x, shapes as of `value`; beyond the ends that at the nearer one."""
         return np.asarray(self._cubics(coefficients)(self.clip(x), 1))
 
     def _cubics(self, coefficients: Array) -> PPoly:

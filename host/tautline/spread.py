@@ -29,5 +29,5 @@ def of_rounding(step: float) -> float:
 
 
 def interval(draws: Array, share: float) -> list[float]:
-    """Both ends between which this share of the draws lies, as much below as above."""
+    """Both ends of the interval in which this share of the draws (n,) lies, as many below as above it."""
     return [float(end) for end in np.quantile(draws, [0.5 - 0.5 * share, 0.5 + 0.5 * share])]

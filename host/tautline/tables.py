@@ -90,7 +90,8 @@ class Table:
 
 
 def model_id(model: Model, joints: Mapping[str, Joint] | None = None) -> bytes:
-    """8 bytes by a hash over B, elements, f, delay, actuator and the effects that the tables undo."""
+    """8 bytes by a hash over B, elements, f, delay, actuator and the effects that the tables undo. joints: as of
+    `encode`."""
     model, sections = undone(model, joints)
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
@@ -114,8 +115,9 @@ def encode(
     """The model's blob for `axis`, with the sections that undo its effects, or a TautError that says why a board would
     refuse it.
 
-    instrument: the serial of the one that it was made for, at most 8 characters, the rig's where it is None: a board
-    whose settings name another refuses the table.
+    limits: of the compensator, default moderate ones; kind: a key of KINDS; created_s: since 1970, default now; joints:
+    which axis of the board moves a column that couples in, by column. instrument: the serial of the one that it was
+    made for, at most 8 characters, the rig's where it is None: a board whose settings name another refuses the table.
 
     B and f are sampled on a grid of 2^k Q8 counts from the lower end of the range, with at most 257 nodes; the last
     node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
@@ -129,16 +131,7 @@ def encode(
     limits = limits or Limits.of(rig)
     if limits.adapt is not None:
         sections = {**sections, "adapt": _adapt_section(limits.adapt, rig)}
-    q_min, q_max = _range(rig)
-    span = q_max - q_min
-    if span < 1:
-        raise TautError("actuator.range holds less than one encoder step: check actuator.encoder_resolution")
-    # several plays look a width beyond the ends of the range
-    ends = (0.0, 0.0) if model.elements.single else (float(model.width[0]), float(model.width[-1]))
-    below, above = (_counts(width, rig, "a backlash width", _native.TABLE_WIDTH_MAX) for width in ends)
-    span += below + above
-    step_log2 = next(k for k in range(32) if -(-span >> k) <= _native.TABLE_NODES_MAX - 1)
-    q_raw = q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
+    q_raw, step_log2 = _nodes(model)
     q = q_raw * (rig.actuator.encoder_resolution / COUNT)
     width = np.interp(q, model.q, model.width)
     c_deg = interpolate(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
@@ -151,14 +144,28 @@ def encode(
     _check_sections(sections)
     blob: bytes = _native.table_encode(
         fields,
-        raw_width,
-        _raw(c_deg * DEG, "f_remain"),
-        identity,
-        serial,
-        _plays_section(model, q_raw.astype(float), raw_width.astype(float)),
-        sections,
+        width=raw_width,
+        angle=_raw(c_deg * DEG, "f_remain"),
+        model_id=identity,
+        instrument=serial,
+        plays=_plays_section(model, q_raw.astype(float), raw_width.astype(float)),
+        sections=sections,
     )
     return _checked(blob, axis)
+
+
+def _nodes(model: Model) -> tuple[Array, int]:
+    """The table's nodes (n,), Q8 counts, and k of their distance 2^k, the least with which at most TABLE_NODES_MAX
+    reach over the range; with several plays, which look a width beyond its ends, over that too."""
+    rig = model.rig
+    q_min, q_max = _range(rig)
+    if q_max - q_min < 1:
+        raise TautError("actuator.range holds less than one encoder step: check actuator.encoder_resolution")
+    ends = (0.0, 0.0) if model.elements.single else (float(model.width[0]), float(model.width[-1]))
+    below, above = (_counts(width, rig, "a backlash width", _native.TABLE_WIDTH_MAX) for width in ends)
+    span = q_max - q_min + below + above
+    step_log2 = next(k for k in range(32) if -(-span >> k) <= _native.TABLE_NODES_MAX - 1)  # -(-a >> k): rounded up
+    return q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2), step_log2
 
 
 def _check_sections(sections: Mapping[str, Section]) -> None:
@@ -183,22 +190,22 @@ def _adapt_section(adapt: tuple[float, float, float], rig: Rig) -> Section:
 
 def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
     """Section 1 of the blob, several plays, for widths (n,) at nodes q (n,), Q8 counts; None for a single play. The
-    board's warp is straight between nodes; where the grid is too coarse for that, B counts as narrow, and if it is
-    everywhere, a single play is left."""
+    board's warp is straight between nodes; until the grid is fine enough for that, `narrow`, the least B that counts,
+    is raised. Where all of B is below, a single play is left."""
     elements, unit = model.elements, model.rig.actuator.encoder_resolution / COUNT
     if elements.single:
         return None
-    share = np.array(elements.weight)
-    ends = np.rint(np.cumsum(share) * _WEIGHT).astype(int)
-    weight = np.diff(ends, prepend=0)  # whole, and their sum as well
-    width_share = np.array(elements.width) * _WEIGHT / (weight @ np.array(elements.width))
+    ends = np.rint(np.cumsum(elements.weight) * _WEIGHT).astype(int)
+    weight_q16 = np.diff(ends, prepend=0)  # whole, and their sum as well
+    width_share = np.array(elements.width) * _WEIGHT / (weight_q16 @ np.array(elements.width))  # of B: mean 1 by these
     narrow = model.play.narrow / unit
     while narrow < width.max():
         warp = warp_of(model.q, model.width, narrow * unit)
         floored = np.maximum(np.interp(q * unit, model.q, model.width), narrow * unit)
-        centre = np.interp(q * unit - 0.5 * floored, warp.q, warp.x) + 0.5
+        centre = np.interp(q * unit - 0.5 * floored, warp.q, warp.x) + 0.5  # G(p - B/2) + 1/2: the period's middle
         if _warp_error(q, width, narrow, centre) <= 1.0:
             periods, widest = float(np.abs(centre).max()), float(width_share[-1])
+            # Binary places of a period, as many as leave the warp and half the widest element within their numbers.
             log2 = min(
                 _PERIOD_LOG2,
                 int(np.floor(np.log2(_native.TABLE_CENTRE_MAX / periods))),
@@ -208,7 +215,7 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
                 "period_log2": log2,
                 "narrow": int(np.ceil(narrow)) if (width < narrow).any() else 0,
                 "width_q28": np.rint(width_share * _SHARE).astype(int).tolist(),
-                "weight_q16": weight.tolist(),
+                "weight_q16": weight_q16.tolist(),
                 "centre": _raw(centre * 2.0**log2, "the warp of the play's elements"),
             }
         narrow *= _WIDER
@@ -219,14 +226,15 @@ def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
     """Largest error of the piecewise linear warp between nodes (a period should be 1), over the allowed one, where B is
     wider than `narrow`. q, width (n,): Q8 counts; centre (n,): the warp, in periods. At most 1: fine enough."""
     floored = np.maximum(width, narrow)
-    low, high = q + 0.5 * floored, q - 0.5 * floored
-    motor = np.linspace(low[0], high[-1], 4 * len(q))
-    p_low, p_high = np.interp(motor, low, q), np.interp(motor, high, q)
-    here, there = (np.interp(p, q, width) for p in (p_low, p_high))
-    wide = (here > narrow) & (there > narrow)
+    up_at, down_at = q + 0.5 * floored, q - 0.5 * floored  # where the motor pushes p = q up, and down
+    motor = np.linspace(up_at[0], down_at[-1], 4 * len(q))
+    p_low, p_high = np.interp(motor, up_at, q), np.interp(motor, down_at, q)
+    width_low, width_high = (np.interp(p, q, width) for p in (p_low, p_high))
+    wide = (width_low > narrow) & (width_high > narrow)
     counts, share = _WARP_OFF
     off = np.abs(np.interp(p_high, q, centre) - np.interp(p_low, q, centre) - 1.0)
-    return float((off * here / np.maximum(counts * COUNT, share * here))[wide].max(initial=0.0))
+    allowed = np.maximum(counts * COUNT, share * width_low)
+    return float((off * width_low / allowed)[wide].max(initial=0.0))
 
 
 def decode(blob: bytes, axis: int | None = None) -> Table:

@@ -62,8 +62,8 @@ def _check_speed(speed: float) -> None:
 def through(
     points: Sequence[float] | Array, speed: float | Sequence[float], acceleration: float, dwell_s: float = 0.0
 ) -> Trajectory:
-    """Rest to rest through `points` with trapezoidal speed, waiting `dwell_s` at each. speed: unit/s, one or one for
-    each stroke; acceleration: unit/s^2."""
+    """Rest to rest through `points` (k,), unit of q, with trapezoidal speed, waiting `dwell_s` at each. speed: unit/s,
+    one or one for each of the k - 1 strokes; acceleration: unit/s^2."""
     points = np.asarray(points, dtype=np.float64)
     moves = len(points) >= 2 and np.isfinite(points).all() and np.all(np.asarray(speed) > 0.0)
     if not (moves and 0.0 < acceleration < np.inf and dwell_s >= 0.0):
@@ -73,7 +73,7 @@ def through(
     top = np.minimum(speed, np.sqrt(acceleration * reach))  # short strokes never reach their speed
     ramp = top / acceleration
     cruise = np.divide(reach, top, out=np.zeros_like(reach), where=top > 0) - ramp
-    # Each stroke: speed up, cruise, slow down, wait.
+    # Each stroke: speed up, cruise, slow down, wait; how long, s, and at which acceleration, `pull`, unit/s^2.
     duration = np.column_stack([ramp, np.maximum(cruise, 0.0), ramp, np.full_like(ramp, dwell_s)]).ravel()
     pull = np.column_stack([np.sign(stroke), 0 * ramp, -np.sign(stroke), 0 * ramp]).ravel() * acceleration
     start = np.concatenate([[0.0], np.cumsum(duration)])
@@ -86,7 +86,7 @@ def through(
 
 
 def in_turn(*parts: Trajectory) -> Trajectory:
-    """Bending motions one after the other, each from where the one before ends."""
+    """Bending motions one after the other; each has to begin where the one before ends."""
     q = np.concatenate([part.q for part in parts])
     return Trajectory(np.arange(len(q)) / RATE_HZ, q)
 
@@ -102,7 +102,7 @@ def back_and_forth(
     """The paper's calibration motion: short strokes on a ramp over the whole range, up and down again at each speed.
 
     stroke: the longer, ramp-wise one, in the rig's unit; it must be longer than the backlash and a slow start.
-    reversals: on one way up or down.
+    reversals: on one way up or down. speeds: unit/s; acceleration: unit/s^2; dwell_s: the rest at each reversal.
     """
     low, high = actuator.range
     pairs = max(1, reversals // 2)
@@ -117,18 +117,19 @@ def back_and_forth(
     up = np.empty(2 * pairs + 2)
     up[0], up[1::2], up[2::2] = low, forward, back
     down = low + high - up
-    points, each = [up[:1]], []
+    points, stroke_speeds = [up[:1]], []
     for speed in speeds:
         for way in (up, down):
             points.append(way[1:])
-            each += [speed] * (len(way) - 1)
-    return through(np.concatenate(points), each, acceleration, dwell_s)
+            stroke_speeds += [speed] * (len(way) - 1)
+    return through(np.concatenate(points), stroke_speeds, acceleration, dwell_s)
 
 
 def trapezoids(
     actuator: Actuator, speed: float, amplitude: float, cycles: int, acceleration: float, dwell_s: float
 ) -> Trajectory:
-    """The paper's test motion (Fig. 10): trapezoids of `amplitude` (peak to peak) on a mean that rises."""
+    """The paper's test motion (Fig. 10): `cycles` trapezoids of `amplitude` (peak to peak, unit of q) on a mean that
+    rises over the range. speed: unit/s; acceleration: unit/s^2; dwell_s: the rest at each turn."""
     low, high = actuator.range
     if not 0 < amplitude < high - low:
         raise TautError(f"an amplitude of {amplitude:g} {actuator.unit} does not fit the range [{low:g}, {high:g}]")
@@ -138,25 +139,26 @@ def trapezoids(
 
 
 def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
-    """Two sines that never repeat together (periods by the golden ratio apart, 60 and 35 % of half the range); top
-    speed `speed`."""
+    """Two sines that never repeat together (periods by the golden ratio apart, 60 and 35 % of half the range), together
+    at most as fast as `speed`, unit/s."""
     _check_speed(speed)
     low, high = actuator.range
     half = 0.5 * (high - low)
     first, second = _SINES
-    rate = speed / (half * (first + second / _APART))
+    rate = speed / (half * (first + second / _APART))  # equation: both are fastest at t = 0
     t = _samples(duration_s)
     return Trajectory(t, 0.5 * (low + high) + half * (first * np.sin(rate * t) + second * np.sin(rate * t / _APART)))
 
 
 def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int) -> Trajectory:
-    """A smooth random motion over the range with reversals anywhere; `speed` is its greatest, within some 20 %."""
+    """A smooth random motion over the range with reversals anywhere; `speed`, unit/s, is its greatest, within some
+    20 %. seed: by which it is drawn."""
     _check_speed(speed)
     low, high = actuator.range
     rng = np.random.default_rng([seed, 0x7247])
     rates = np.exp(rng.uniform(np.log(0.4), np.log(2.5), 9))  # rad per unit of the wander's own time
     sizes = rng.uniform(0.5, 1.0, 9) / rates
-    sizes /= np.sqrt(0.5 * np.sum(sizes**2))
+    sizes /= np.sqrt(0.5 * np.sum(sizes**2))  # rms 1
     phases = rng.uniform(0.0, 2 * np.pi, 9)
 
     def wander(own: Array) -> Array:

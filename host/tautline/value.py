@@ -18,14 +18,17 @@ class Value:
     """For frozen dataclasses made with eq=False and repr=False. What is cached on them is no part of them."""
 
     def __eq__(self, other: object) -> bool:
+        """Whether both are of one type and their fields hold the same (`same`)."""
         return type(self) is type(other) and _same_fields(self, other)
 
     __hash__ = None  # type: ignore[assignment]  # arrays have none
 
     def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: the fields, without what is cached beside them, which is made anew."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def __repr__(self) -> str:
+        """The fields in one line, each short (`_short_repr`)."""
         shown = (f"{field.name}={_short_repr(getattr(self, field.name))}" for field in fields(self) if field.repr)  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(shown)})"
 

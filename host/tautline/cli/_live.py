@@ -120,10 +120,10 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
     them together, as `live`, a LiveOptions."""
 
     @functools.wraps(command)
-    def collected(**given: Any) -> Any:
+    def collected(**options: Any) -> Any:
         """Calls the command with these options collected in `live`."""
-        live = LiveOptions(**{field.name: given.pop(field.name) for field in fields(LiveOptions)})
-        return command(live=live, **given)
+        live = LiveOptions(**{field.name: options.pop(field.name) for field in fields(LiveOptions)})
+        return command(live=live, **options)
 
     wrapped: Callable[..., Any] = collected
     for option in (at_option, simulate_option, colour_option, camera_option, axis_option, board_option):
@@ -210,14 +210,15 @@ def opened(
             "that the model was calibrated with, or leave --rig out"
         )
     picks = picks or (rig is not None and rig.sees_from_tip)  # there is no marker
-    named = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
+    # Where the colour has to be there and is not, `load` says so.
+    reads_colour = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
     with open_live(
         board=live.board,
         camera=live.camera,
         simulate=live.simulate,
         rig=rig,
         axis=live.axis,
-        colour=MarkerColour.load(live.colour) if named else None,
+        colour=MarkerColour.load(live.colour) if reads_colour else None,
         picks=picks,
         at=live.at,
         seed=seed,

@@ -51,6 +51,6 @@ def check_no_input(out: Path | None, *inputs: Path | None) -> None:
         if read is None:
             continue
         known = Path(os.path.realpath(read))
-        own = place.parent == known and place.exists() and any(place.match(each) for each in _READ)
-        if place == known or own:
+        read_in_folder = place.parent == known and place.exists() and any(place.match(each) for each in _READ)
+        if place == known or read_in_folder:
             raise TautError(f"{out}: would be overwritten, and is read here: name another file")

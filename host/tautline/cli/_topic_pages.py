@@ -68,7 +68,9 @@ def drawn(kind: Kind) -> Figure:
     plant = instrument.preset("reference", rig)
     q = np.linspace(*rig.actuator.range, 201)
     width, c_deg = plant.backlash(q), plant.bend(q)
-    model = Model(rig, q, width, np.zeros_like(q), c_deg, rig.delay_s, rig.actuator.range)
+    model = Model(
+        rig, q, width=width, width_sigma=np.zeros_like(q), c_deg=c_deg, delay_s=rig.delay_s, measured=rig.actuator.range
+    )
     motor = _motion()
     t_s = motor.t_s
     values = parameters(kind, rig.actuator.span, float(t_s[-1]))
@@ -77,8 +79,8 @@ def drawn(kind: Kind) -> Figure:
     made_figure, axes = figures.figure(11, 3.4, 1, 2)
     left, right = axes[0]
     for seen, colour, name in ((without, figures.GREY, "without"), (with_it, figures.MODEL, "with it")):
-        across, down = (motor.q, seen.c_deg) if by_angle else seen.image_px.T
-        left.plot(across, down, color=colour, lw=1.2, label=name)
+        x, y = (motor.q, seen.c_deg) if by_angle else seen.image_px.T
+        left.plot(x, y, color=colour, lw=1.2, label=name)
     if by_angle:
         left.set(xlabel=f"q ({rig.actuator.unit})", ylabel="bending c (deg)")
         right.plot(t_s, with_it.c_deg - without.c_deg, color=figures.MODEL, lw=1.2)
@@ -101,8 +103,9 @@ def drawn(kind: Kind) -> Figure:
 def _motion() -> Motor:
     """The motion in which effects are drawn, q in mm: strokes of several lengths, translation and rotation that sway,
     and a load of 20 mNm from half-way on."""
-    made = trajectory.through([-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5], 2.5, 20.0, 1.0)
-    t_s, q = made.t_s[::10], made.q[::10]
+    turns = [-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5]
+    made = trajectory.through(turns, speed=2.5, acceleration=20.0, dwell_s=1.0)
+    t_s, q = made.t_s[::10], made.q[::10]  # at 100 Hz
     sway = np.sin(2 * np.pi * t_s / 9.0)
     load_mNm = 20.0 * (t_s > t_s.mean())
     return Motor(t_s, q, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load_mNm)

@@ -81,13 +81,13 @@ def _axis_row(board: Any, axis: int) -> dict[str, Any]:
     from tautline.device import wire
 
     status = board.status(axis)
-    says = board.identity.protocol_minor >= wire.wire.SINCE["settings"]
+    knows_settings = board.identity.protocol_minor >= wire.wire.SINCE["settings"]
     row = {
         "axis": axis,
         "mode": wire.text("MODES", status.mode),
-        "fault": wire.fault_name(status),
+        "fault": wire.fault_meaning(status),
         # Older firmware does not say: it drives as if the motor were commissioned.
-        "commissioned": bool(status.flags & wire.code("FLAGS", "COMMISSIONED")) if says else None,
+        "commissioned": bool(status.flags & wire.code("FLAGS", "COMMISSIONED")) if knows_settings else None,
         "table": wire.text("TABLES", status.table),
         "model_id": None,
         "instrument": None,

@@ -100,7 +100,7 @@ def command(
     fleet: Path | None,
     as_json: bool,
     kept: Path | None,
-    **live: Any,
+    **live: Any,  # as `_calibrate_live` takes them
 ) -> None:
     """Measure B(q) and f_remain: from recordings of one instrument, or live from a board and a camera.
 
@@ -178,7 +178,7 @@ def _calibrate_live(
     """Calibrates on a board and a camera and writes the MODEL folder `out`. Returns the calibration, the result in
     sentences, and how the motion went (the result's `motion`). kept: folder of the recording; until: sigma of B(q) as
     text, "3um"; at_most_s: after which it ends; thorough: the paper's slow motion instead; speeds: the rig's unit per
-    second."""
+    second; video: the recording gets one; seed: of a simulation; as_json: no picture in the terminal."""
     from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
     from tautline.live.until import Goal, calibrate_until
@@ -191,13 +191,13 @@ def _calibrate_live(
     with opened(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
         unit = setup.rig.actuator.unit
         if thorough:
-            calibration, motion = calibrate_live(
-                setup, kept, MotionOptions(speeds=speeds or None), options, video, show=show
-            )
+            passes = MotionOptions(speeds=speeds or None)
+            calibration, motion = calibrate_live(setup, kept, passes, options, video=video, show=show)
             made: dict[str, Any] = {}
         else:
-            goal = Goal(None if until is None else sigma_of(until, unit), at_most_s, speeds or None)
-            calibration, reached = calibrate_until(setup, kept, goal, options, video, show)
+            wanted = None if until is None else sigma_of(until, unit)
+            goal = Goal(wanted, at_most_s=at_most_s, speeds=speeds or None)
+            calibration, reached = calibrate_until(setup, kept, goal, options, video=video, show=show)
             motion = reached.motion
             made = {"until": reached.until, "sigma": reached.standing.worst, "reached": reached.reached}
             if reached.why:

@@ -70,15 +70,16 @@ def command(
     if len(instrument.encode()) > 8:
         raise click.UsageError("--instrument takes 8 letters at most")
     figures.check_ending(out)
-    with opened(LiveOptions(board, axis, None, Path(), simulate, None), rig_path) as live:
+    options = LiveOptions(board, axis, camera=None, colour=Path(), simulate=simulate, at=None)  # colour: of no camera
+    with opened(options, rig_path) as live:
         if live.plant is not None:
             live.plant.end_at(*live.rig.actuator.range)
         commissioned = commission(
             live,
-            (lambda question: True) if yes else (lambda question: click.confirm(question, err=True)),
-            log,
-            Homing(-1 if way == "low" else 1, end),
-            {"current_ma": current, "instrument": instrument or None, "group": group, "estop": stops},
+            agree=(lambda question: True) if yes else (lambda question: click.confirm(question, err=True)),
+            say=log,
+            homing=Homing(direction=-1 if way == "low" else 1, end=end),
+            wanted={"current_ma": current, "instrument": instrument or None, "group": group, "estop": stops},
         )
         serial, bus = live.board.identity.serial, live.board.bus()
     try:

@@ -49,12 +49,12 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
     unit counts."""
     unit = first.rig.actuator.unit
     table = Table(box=None, pad_edge=False)
-    fine, times = figures.finer(unit)
-    columns = {  # key of a row, factor to the title's unit
+    fine, per_unit = figures.finer(unit)
+    columns = {  # by title: key of a row, factor to the title's unit
         "model": ("model", 1.0),
         f"B mean ({unit})": ("width_mean", 1.0),
-        f"change ({fine})": ("width_change_mean", times),
-        f"largest ({fine})": ("width_change_max", times),
+        f"change ({fine})": ("width_change_mean", per_unit),
+        f"largest ({fine})": ("width_change_max", per_unit),
         f"at q ({unit})": ("width_change_max_at", 1.0),
         "in sigma": ("width_change_sigmas", 1.0),
         "f_remain offset (deg)": ("remaining_change_mean_deg", 1.0),

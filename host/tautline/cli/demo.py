@@ -104,8 +104,10 @@ def _report(model_folder: Path, runs: Mapping[str, Followed]) -> Path:
     from tautline.reports.evidence import Evidence, Run
 
     for compensation, followed in runs.items():
-        run = Run(followed.t_s, followed.c_ref_deg, followed.c_deg, followed.counted)
-        run.save(model_folder, compensation)
+        kept = Run(
+            followed.t_s, goal_deg=followed.c_ref_deg, tip_deg=followed.c_deg, counted=followed.counted
+        )  # fmt: skip
+        kept.save(model_folder, compensation)
     return pages.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
 
 

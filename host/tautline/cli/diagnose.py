@@ -104,11 +104,10 @@ def command(
         if is_live:
             raise click.UsageError("--simulator needs recordings: name them")
         robots = [path for path in (calibration_path, *test_paths) if path is not None]
-        _print_diagnosis(
-            _diagnose_simulator(simulator, actuator, tip, live.camera, scale, workers, robots, rig_path, out),
-            out,
-            as_json,
+        diagnosis = _diagnose_simulator(
+            simulator, actuator, tip, live.camera, scale, workers=workers, paths=robots, rig_path=rig_path, out=out
         )
+        _print_diagnosis(diagnosis, out, as_json)
         return
     if any(given("actuator", "tip", "scale", "workers")):
         raise click.UsageError("--actuator, --tip, --scale and --workers go with --simulator")
@@ -116,7 +115,7 @@ def command(
         if live.camera is None and live.simulate is None:
             raise click.UsageError("--live needs --camera SOURCE (and a board), or --simulate")
         kept = kept or out.absolute().with_name(f"{out.name}-recordings")
-        asked = _diagnose_live(calibration_path, test_paths, rig_path, kept, live, most, seed)
+        asked = _diagnose_live(calibration_path, test_paths, rig_path, kept=kept, live=live, most=most, seed=seed)
         save(asked.diagnosis, out)
         more = {"recordings": asked.recordings, "why": asked.why, "sure": asked.sure}
         said = f"{narration.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
@@ -220,18 +219,20 @@ def _diagnose_live(
 ) -> Asked:  # fmt: skip
     """Calibrates on the recording at calibration_path, or if that is None on one that is made here first, and diagnoses
     live, with up to `most` recordings of motions on the board, from the tests at test_paths on. kept: the folder of
-    what is recorded."""
+    what is recorded; rig_path: of --rig; seed: of a simulation."""
     from tautline.live.asking import diagnose_live
     from tautline.live.until import calibrate_until
 
     paths = [calibration_path, *test_paths] if calibration_path else []
-    given, rig = read_recordings(paths, rig_path) if paths else ([], None)
+    made, rig = read_recordings(paths, rig_path) if paths else ([], None)
     with opened(live, rig_path, seed) as setup, progress_bar("diagnosing") as progress:
         if calibration_path is None:
             calibration_path = kept.with_name(f"{kept.name}-calibration")
             progress(0.0, "calibrating")
             calibrate_until(setup, calibration_path, progress=progress)
-            given, rig = [load(calibration_path, setup.rig)], setup.rig
+            made, rig = [load(calibration_path, setup.rig)], setup.rig
         assert rig is not None
-        calibration, recordings = _calibrate_first(given, rig, calibration_path, progress)
-        return diagnose_live(setup, calibration, recordings[0], recordings[1:], kept, most, progress, log)
+        calibration, recordings = _calibrate_first(made, rig, calibration_path, progress)
+        return diagnose_live(
+            setup, calibration, recordings[0], recordings[1:], folder=kept, most=most, progress=progress, say=log
+        )

@@ -144,7 +144,8 @@ def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> 
     from tautline.reports import pages
     from tautline.reports.evidence import Evidence, Run
 
-    Run(result.t_s, result.c_ref_deg, result.c_deg, result.counted).save(folder, compensation)
+    run = Run(result.t_s, goal_deg=result.c_ref_deg, tip_deg=result.c_deg, counted=result.counted)
+    run.save(folder, compensation)
     pages.write(model, folder, Evidence.load(folder))
 
 

@@ -54,12 +54,12 @@ def command(
     from tautline.live.homing import Homing, home
 
     direction = -1 if way == "low" else 1
-    live = LiveOptions(board, axis, None, Path(), simulate, None)
+    live = LiveOptions(board, axis, camera=None, colour=Path(), simulate=simulate, at=None)  # colour: of no camera
     with opened(live, rig_path) as setup:
         low, high = setup.rig.actuator.range
         if setup.plant is not None:
             setup.plant.end_at(low, high)
-        q = home(setup, Homing(direction, end, retreat, reach, speed, drive or 0.0))
+        q = home(setup, Homing(direction, end, retreat=retreat, reach=reach, speed=speed, drive=drive or 0.0))
         at = end if end is not None else (low if direction < 0 else high)
         unit, serial = setup.rig.actuator.unit, setup.board.identity.serial
     emit(

@@ -51,7 +51,7 @@ def command(
     """
     rig = read_rig(rig_path) if rig_path is not None else None
     source = open_source(source_path, time_name)
-    roles = Roles(motor or "", tip, commanded, load, video, joint)
+    roles = Roles(motor or "", tip, command=commanded, load=load, video=video, joints=joint)
     if motor is None or not (tip or video):
         _print_proposal(source, roles, out, unit or (rig.actuator.unit if rig else None), episode, time_name, as_json)
         return
@@ -61,9 +61,9 @@ def command(
             out or Path("recording"),
             roles,
             progress,
-            unit,
-            rig,
-            episode,
+            unit=unit,
+            rig=rig,
+            episode=episode,
         )
     for text in dict.fromkeys([*(each for made in written for each in made.warnings), *skipped]):
         warn(text)

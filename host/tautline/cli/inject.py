@@ -41,7 +41,10 @@ def command(
         _inject(sim, axis, fault)
         emit({"fault": fault, "axis": axis, "sim": sim}, as_json, f"axis {axis}: {fault}")
         return
-    with opened(LiveOptions(None, axis, None, Path(), simulate or "reference", None), None) as live:
+    options = LiveOptions(
+        board=None, axis=axis, camera=None, colour=Path(), simulate=simulate or "reference", at=None
+    )  # fmt: skip
+    with opened(options, rig_path=None) as live:
         seen = faults.show(live, fault)
         unit = live.rig.actuator.unit
     what = faults.FAULTS[fault].what

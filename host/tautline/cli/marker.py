@@ -162,7 +162,7 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
     for written in (out, out.with_suffix(".png"), shown):  # the second is the region's own
         check_no_input(written, Path(source))
     pictures, _ = _pictures(source)
-    region = Region(square[:2], square[2], np.asarray(pictures[0], dtype=np.uint8))
+    region = Region(at=square[:2], side_px=square[2], picture=np.asarray(pictures[0], dtype=np.uint8))
     seen = _track(region.tracker(), pictures, "how well the place is followed")
     valid = [s for s in seen if s.valid]
     if not valid:

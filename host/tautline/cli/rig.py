@@ -118,10 +118,10 @@ def command(
     if motion is not None:
         document = {name: section for name, section in document.items() if name not in _BY_MOTION}
         _ask_for_keys(document, sensor, without=_BY_MOTION)
-        places, found, line, left_deg = _from_known_angles(document, motion, angles, angle_sigma)
-        document["coarse"] = _rounded(asdict(line))
+        places, found, law, left_deg = _from_known_angles(document, motion, angles, angle_sigma)
+        document["coarse"] = _rounded(asdict(law))
         document["hand_eye"] = _rounded(asdict(found.hand_eye))
-        lines += [found.in_words(), _coarse_in_words(line, left_deg, document["actuator"]["unit"])]
+        lines += [found.in_words(), _coarse_in_words(law, left_deg, document["actuator"]["unit"])]
         result["hand_eye"] = _hand_eye_result(found, places)
     _ask_for_keys(document, sensor)
     if sensor == ANGLE:
@@ -135,10 +135,10 @@ def command(
     emit(result, as_json, "\n".join([*lines, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
 
 
-def _coarse_in_words(line: Coarse, left_deg: float, unit: str) -> str:
+def _coarse_in_words(law: Coarse, left_deg: float, unit: str) -> str:
     """The coarse law that was measured, in words. left_deg: rms of its residual; unit: of q."""
     return (
-        f"coarse: gain {line.gain:.4g} deg per {unit}, offset {line.offset:.3g} deg; "
+        f"coarse: gain {law.gain:.4g} deg per {unit}, offset {law.offset:.3g} deg; "
         f"{left_deg:.2g} deg are left, play among it"
     )
 
@@ -238,6 +238,7 @@ def _from_known_angles(
     and kinematics; angles: a CSV of the rests, None: angles.csv in the recording; angle_sigma: of the angles, deg.
     Warns of what is doubtful."""
     known = read_known(angles or motion / "angles.csv")
+    # Coarse law and hand-eye transform, which are measured below, have to be in a document: any will do.
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")
     assert so_far.kinematics is not None and so_far.camera is not None
@@ -246,11 +247,11 @@ def _from_known_angles(
     for text in recording.warnings:
         warn(text)
     places = places_of(recording, known)
-    line, left_deg = coarse(places)
+    law, left_deg = coarse(places)
     found = hand_eye(places, so_far.kinematics, so_far.camera, angle_sigma)
     for text in found.doubts:
         warn(text)
-    return places, found, line, left_deg
+    return places, found, law, left_deg
 
 
 def _rounded(section: dict[str, Any]) -> dict[str, Any]:

@@ -40,7 +40,9 @@ def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
     span = actuator.span
     speeds = wish.speeds or (0.05 * span, 0.1 * span)
     stroke = wish.amplitude or usual_stroke(span, wish.reversals)
-    return back_and_forth(actuator, speeds, stroke, wish.reversals, 0.5 * span, wish.dwell_s)
+    return back_and_forth(
+        actuator, speeds, stroke, wish.reversals, acceleration=0.5 * span, dwell_s=wish.dwell_s
+    )  # fmt: skip
 
 
 def usual_stroke(span: float, reversals: int) -> float:
@@ -57,7 +59,9 @@ def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
     span = actuator.span
     amplitude = wish.amplitude or 0.3 * span
     cycles = max(1, wish.reversals // 2)
-    return trapezoids(actuator, _one_speed(actuator, wish), amplitude, cycles, 0.5 * span, wish.dwell_s)
+    return trapezoids(
+        actuator, _one_speed(actuator, wish), amplitude, cycles, acceleration=0.5 * span, dwell_s=wish.dwell_s
+    )
 
 
 def _sines(actuator: Actuator, wish: _Wish) -> Trajectory:
@@ -189,7 +193,8 @@ def command(
         raise TautError(f"{rig_path}: has no [camera] to draw a video with: add one, or leave --video out")
     if video and not made.drawn:
         raise TautError(f"{instrument}: its effects change what is seen, which no drawn video shows: leave --video out")
-    trajectory = _MOTIONS[motion](rig.actuator, _Wish(speeds, amplitude, reversals, dwell, duration, seed))
+    wish = _Wish(speeds, amplitude, reversals, dwell_s=dwell, duration_s=duration, seed=seed)
+    trajectory = _MOTIONS[motion](rig.actuator, wish)
     _warn_of_short_strokes(trajectory, made)
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)

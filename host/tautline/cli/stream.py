@@ -106,7 +106,7 @@ def command(
         stopped = stack.enter_context(_stop_on_interrupt())
         opened, following = _open_board(stack, board, axis, model, camera, colour, rig_path, library, force)
         points = stack.enter_context(SetPointStream(opened, axis, silence))
-        _send_until_ended(points, sine, rate, silence, duration, stopped)
+        _send_until_ended(points, sine, rate, silence=silence, duration=duration, stopped=stopped)
     tracking = None if following is None else following.summary()
     if following is not None and (following.lost or following.beyond):
         warn(following.lost or following.beyond)
@@ -186,18 +186,19 @@ def _open_board(
     from tautline.device.board import open_board
     from tautline.live.in_use import Following, TableMover, beside, load_tables
 
-    of_rig = model if model is not None or library is None else library.first()
-    if camera is None or of_rig is None:
-        rig_of = None if rig_path is None else read_rig(rig_path)
-        named = rig_of or (model.rig if model is not None else None)
-        board = stack.enter_context(open_board(where or (named.actuator.board if named is not None else None)))
+    model_of_rig = model if model is not None or library is None else library.first()
+    if camera is None or model_of_rig is None:
+        own_rig = None if rig_path is None else read_rig(rig_path)
+        rig_or_none = own_rig or (model.rig if model is not None else None)
+        rigs_board = None if rig_or_none is None else rig_or_none.actuator.board
+        board = stack.enter_context(open_board(where or rigs_board))
         if model is not None:
             load_tables(board, axis, model)
         return board, None
     from tautline.live.setup import open_live
     from tautline.vision.colour import MarkerColour
 
-    rig = of_rig.rig if rig_path is None else read_rig(rig_path)
+    rig = model_of_rig.rig if rig_path is None else read_rig(rig_path)
     seen_as = MarkerColour.load(colour)
     live = stack.enter_context(open_live(board=where, camera=camera, rig=rig, axis=axis, colour=seen_as))
     if model is None and library is not None:

@@ -113,12 +113,12 @@ def _log_result(result: Tracked, summary: list[dict[str, Any]]) -> None:
     if len(result.changes) > _MOST_CHANGES:
         log(f"taut: and {len(result.changes) - _MOST_CHANGES} changes more (--json lists them)")
     for row in summary:
-        of, off = f"{row['rows']} {shown}", row["rms"]
+        rows, off = f"{row['rows']} {shown}", row["rms"]
         if off is None:
-            log(f"taut: {row['name']}: the tip is seen in none of its {of}, which says nothing of the model")
+            log(f"taut: {row['name']}: the tip is seen in none of its {rows}, which says nothing of the model")
             continue
         share = 100.0 * row["frames"]["trusted"] / row["rows"]
         log(
-            f"taut: {row['name']}: off by {off:.3g} {unit} rms, trusted {share:.0f} % of {of}; at its end offset "
+            f"taut: {row['name']}: off by {off:.3g} {unit} rms, trusted {share:.0f} % of {rows}; at its end offset "
             f"{row['offset']:+.4g} ± {row['offset_sigma']:.2g}, scale {row['scale']:.4g} ± {row['scale_sigma']:.2g}"
         )

@@ -26,7 +26,7 @@ def command(path: Path, board: str | None, force: bool, as_json: bool) -> None:
     from tautline.device.updating import update
 
     with progress_bar("update") as progress:
-        done = update(board, path, force, progress)
+        done = update(board, path, older_too=force, progress=progress)
     emit(
         {
             "board": done.board,

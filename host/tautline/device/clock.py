@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,16 @@ _KEPT = 512
 _TRIPS, _SHORT_TRIPS = 8, 4  # tolerance: round trips, and short ones among them, that a line is drawn through
 _SHORT = 1.5  # tolerance: times the shortest: longer ones say less about the offset
 _LINE_S = 5.0  # round trips over so long show the drift better than STEADY bounds it
+
+
+class _Line(NamedTuple):
+    """A straight line of the clocks' offset over host time, through n round trips."""
+
+    mean_s: float  # the trips' mean host time
+    offset_s: float  # board less host time, there
+    drift: float  # s/s
+    t_s: np.ndarray  # (n,) host time of each trip
+    half_s: np.ndarray  # (n,) half the length of each
 
 
 class BoardClock:
@@ -23,7 +34,7 @@ class BoardClock:
         self._using = threading.Lock()  # a camera's thread and a sender's
 
     def add(self, sent_s: float, received_s: float, board_us: int) -> None:
-        """One round trip: host times before and after, and the board's time in between."""
+        """Takes in a round trip: the host's times before and after it, s, and the board's in between, us."""
         middle = 0.5 * (sent_s + received_s)
         with self._using:
             self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))
@@ -34,20 +45,19 @@ class BoardClock:
         with self._using:
             return np.array(self._trips)
 
-    def _line(self) -> tuple[float, float, float, np.ndarray, np.ndarray] | None:
-        """A straight line of offset over host time through the shortest round trips, by least squares, which shows how
-        fast the clocks drift apart. Returns its mean host time, s, the offset there, s, the drift, s/s, and the trips'
-        host times (n,) and half lengths (n,), s. None where they are too few, or span less than _LINE_S."""
+    def _line(self) -> _Line | None:
+        """The line through the shortest round trips, by least squares, which shows how fast the clocks drift apart.
+        None where they are too few, or span less than _LINE_S."""
         trips = self._all()
         if len(trips) < _TRIPS:
             return None
         trips = trips[trips[:, 2] <= _SHORT * trips[:, 2].min()]
-        t, offset, half = trips.T
-        if len(t) < _SHORT_TRIPS or np.ptp(t) < _LINE_S:
+        t_s, offset_s, half_s = trips.T
+        if len(t_s) < _SHORT_TRIPS or np.ptp(t_s) < _LINE_S:
             return None
-        mean = t.mean()
-        drift = float(((t - mean) * (offset - offset.mean())).sum() / ((t - mean) ** 2).sum())
-        return float(mean), float(offset.mean()), drift, t, half
+        mean_s = t_s.mean()
+        drift = float(((t_s - mean_s) * (offset_s - offset_s.mean())).sum() / ((t_s - mean_s) ** 2).sum())
+        return _Line(float(mean_s), float(offset_s.mean()), drift, t_s, half_s)
 
     def offset(self, host_s: float) -> tuple[float, float]:
         """Board time less host time at `host_s`, s, and the bound of its error while both clocks run evenly, s; 0 and
@@ -61,18 +71,18 @@ class BoardClock:
         offset, bound = float(trips[best, 1]), float(bounds[best])
         line = self._line()
         if line is not None:
-            mean, level, drift, t, half = line
-            weight = 1.0 / len(t) + (host_s - mean) * (t - mean) / ((t - mean) ** 2).sum()  # of each trip in the value
-            line_bound = float(np.abs(weight) @ half)
+            away, ahead = line.t_s - line.mean_s, host_s - line.mean_s
+            weight = 1.0 / len(away) + ahead * away / (away**2).sum()  # of each trip's offset in the line's value
+            line_bound = float(np.abs(weight) @ line.half_s)  # as if every trip erred by all of its bound
             if line_bound < bound:
-                offset, bound = level + drift * (host_s - mean), line_bound
+                offset, bound = line.offset_s + line.drift * ahead, line_bound
         return offset, bound
 
     @property
     def drift(self) -> float:
         """Rate of the board's clock less 1; 0 until the round trips span 5 s."""
         line = self._line()
-        return line[2] if line else 0.0
+        return line.drift if line else 0.0
 
     def board_us(self, host_s: float) -> int:
         """Board time, us, at a host time, s; never below 0."""

@@ -168,13 +168,13 @@ class Dfu:
                 self._send(_ABORT, 0, b"")
         raise DfuError("the board's DFU interface does not come to rest: switch the board off and on")
 
-    def _sleep_as_asked(self, pause: float) -> None:
+    def _sleep_as_asked(self, pause_s: float) -> None:
         """Sleeps for the seconds that the device asked for. DfuError where they add up to more than _ASKED_S since the
         interface was opened."""
-        self._asked_s += pause
+        self._asked_s += pause_s
         if self._asked_s > _ASKED_S:
             raise DfuError("the board has us wait without end: switch it off and on, then load again")
-        time.sleep(pause)
+        time.sleep(pause_s)
 
     @staticmethod
     def _refusal(status: int) -> DfuError:

@@ -128,9 +128,9 @@ def _check_port(path: Path, images: Sequence[Image], port: str, axes: int) -> No
     """TautError where an image is for another port than this board's, or for another number of axes."""
     place = place_of(port, axes)
     others = {image.port for image in images} - {place}
-    fewer = {place_of(port, count): count for count in range(1, _AXES_MOST + 1)}
-    if others and others <= fewer.keys():
-        counts = ", ".join(str(fewer[other]) for other in sorted(others))
+    axes_of = {place_of(port, count): count for count in range(1, _AXES_MOST + 1)}
+    if others and others <= axes_of.keys():
+        counts = ", ".join(str(axes_of[other]) for other in sorted(others))
         raise TautError(f"{path}: is for a {port} with {counts} axes, this board has {axes}: get the file for {place}")
     if others:
         raise TautError(f"{path}: is for {', '.join(sorted(others))}, this board is {place}: get the file for {place}")
@@ -143,10 +143,10 @@ def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wir
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
     _check_port(path, images, str(identity.port), int(identity.axes))
-    spoken = {int(image.fields.protocol_major) for image in images} - {wire.wire.MAJOR}
-    if spoken:
+    other_protocols = {int(image.fields.protocol_major) for image in images} - {wire.wire.MAJOR}
+    if other_protocols:
         raise TautError(
-            f"{path}: speaks protocol {max(spoken)}, this tautline speaks {wire.wire.MAJOR}: get one that fits"
+            f"{path}: speaks protocol {max(other_protocols)}, this tautline speaks {wire.wire.MAJOR}: get one that fits"
         )
     key = bytes(runs.key.tolist())
     if not all(image.is_signed(key) for image in images):

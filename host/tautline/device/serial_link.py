@@ -157,7 +157,8 @@ def _is_here(host: str) -> bool:
 def find_serial(where: str) -> list[BoardAddress]:
     """The board on a serial line, as a list of one, marked busy where another program has the line. Says hello to learn
     who it is and closes the line again. TautError where the line cannot be opened, or nothing on it answers."""
-    busy_board = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
+    ours = (wire.wire.MAJOR, wire.wire.MINOR)  # a busy board's own is not known
+    busy_board = BoardAddress(where, serial=None, busy=True, protocol=ours, open=lambda: _refuse(where))
     try:
         link = SerialLink(where)
     except _Busy:
@@ -168,7 +169,11 @@ def find_serial(where: str) -> list[BoardAddress]:
                 link.write(wire.encode("hello", 0, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR))
                 if identity := _identity(link):
                     protocol = (identity.protocol_major, identity.protocol_minor)
-                    return [BoardAddress(where, identity.serial, False, protocol, lambda: SerialLink(where))]
+                    return [
+                        BoardAddress(
+                            where, identity.serial, busy=False, protocol=protocol, open=lambda: SerialLink(where)
+                        )
+                    ]
         except BoardGone:
             if where.startswith("serial:tcp:"):  # a simulated board closes a second connection at once
                 return [busy_board]

@@ -52,8 +52,10 @@ class SetPointStream:
 
     def _follow(self) -> None:
         """Makes the board take set-points of the tip's angle, fully compensated by its table."""
-        silence_us = round(self._silence_s * 1e6)
-        self._board.ask("follow", axis=self._axis, target=1, compensation=MODES["full"], silence_us=silence_us)
+        silence_us, configuration = round(self._silence_s * 1e6), 1  # `target` of tl_wire.h's follow: the tip's angle
+        self._board.ask(
+            "follow", axis=self._axis, target=configuration, compensation=MODES["full"], silence_us=silence_us
+        )
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -108,7 +110,7 @@ class SetPointStream:
             if any(error.reason == "FAULT" for error in self._board.refused):
                 self._board.check_fault(self._axis)
             if any(error.reason == "NOT_FOLLOWING" for error in self._board.refused):
-                self._last = 0.0  # the board waited longer than we thought
+                self._last = 0.0  # it had come to rest when they came: `send` resumes
                 self._board.refused = [e for e in self._board.refused if e.reason != "NOT_FOLLOWING"]
         time.sleep(max(self._next - time.monotonic(), 0.0))
 

@@ -71,9 +71,14 @@ def send(
         _write_image(board, image.page + image.content, progress)
         with contextlib.suppress(BoardGone):  # it may restart before its answer is read: `finish` sees what came of it
             board.ask("reboot", key=wire.wire.KEY, bootloader=0)
-        before = firmware.version_of(runs.version)
-        identity = board.identity
-        return Sent(board.where, str(identity.serial), str(identity.port), before, image.version, int(runs.slot))
+        return Sent(
+            where=board.where,
+            board=str(board.identity.serial),
+            port=str(board.identity.port),
+            before=firmware.version_of(runs.version),
+            version=image.version,
+            slot=int(runs.slot),
+        )
 
 
 def finish(sent: Sent) -> Updated:
@@ -85,7 +90,8 @@ def finish(sent: Sent) -> Updated:
         time.sleep(_POLL_S)
         now = _ask_firmware(sent.where)
         if now is not None and now.slot != sent.slot and now.state != trial:
-            return Updated(sent.board, sent.port, sent.before, firmware.version_of(now.version), int(now.slot))
+            version = firmware.version_of(now.version)
+            return Updated(sent.board, sent.port, before=sent.before, version=version, slot=int(now.slot))
         if now is not None and now.slot == sent.slot and now.other_state != trial:  # else: not restarted yet
             raise TautError(
                 f"{sent.board}: firmware {firmware.text_of(sent.version)} did not come up: the board runs "

@@ -93,7 +93,8 @@ def _board_address(device: usb.core.Device, where: str, serial: str | None) -> B
     """The BoardAddress of a USB device that was found. where: its address; serial: None marks it as busy. Its bcdDevice
     is the version of the protocol that it speaks, major and minor."""
     protocol = (device.bcdDevice >> 8, device.bcdDevice & 0xFF)
-    return BoardAddress(where, serial, serial is None, protocol, lambda: UsbLink(device, where))
+    busy_or_forbidden = serial is None
+    return BoardAddress(where, serial, busy=busy_or_forbidden, protocol=protocol, open=lambda: UsbLink(device, where))
 
 
 def _serial_number(device: usb.core.Device) -> str | None:
@@ -129,7 +130,7 @@ def find_usbip(where: str) -> list[BoardAddress]:
         devices = list(_tautline_devices(usbip_backend.Backend(address[1], int(address[2]))))
     except usb.core.USBError as error:
         raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
-    # The serial number of one that is in use is 0: the server's list has no names, and it is not asked.
+    # One that is in use has no serial number, so it is marked busy: the server's list has none, and it is not asked.
     return [_board_address(device, where, _serial_number(device)) for device in devices]
 
 

@@ -19,9 +19,11 @@ from dataclasses import dataclass, field
 VERSION = 0x0111
 _OP_DEVLIST, _OP_IMPORT = 0x8005, 0x8003
 _CMD_SUBMIT, _CMD_UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
-_OP = struct.Struct(">HHI")
+_OP = struct.Struct(">HHI")  # version, code, status
 _DEVICE = struct.Struct(">256s32sIIIHHHBBBBBB")  # path, busid, bus, device, speed, ids, bcdDevice, class, configuration
-_URB = struct.Struct(">IIIIIiiiii8s")  # basic header; five integers and set-up packet of SUBMIT and RET_SUBMIT
+# Header: command, seqnum, devid, direction, endpoint; then of SUBMIT flags, length, start frame, packets, interval and
+# set-up packet, of RET_SUBMIT status, actual length and more, of UNLINK the seqnum that it ends.
+_URB = struct.Struct(">IIIIIiiiii8s")
 _CONNECT_S = 3.0
 _UNLINK_S = 1.0
 
@@ -54,9 +56,12 @@ class Exported:
         port: of the server."""
         _, busid, bus, device, speed, vendor, product, release, *classes_and_counts = _DEVICE.unpack(raw)
         *device_class, configuration, configurations, interfaces = classes_and_counts
-        name = busid.split(b"\0", 1)[0].decode("ascii", "replace")
-        numbers = (bus, device, speed, vendor, product, release, tuple(device_class), configuration, configurations)
-        return cls(host, port, name, *numbers), interfaces
+        entry = cls(
+            host=host, port=port, busid=busid.split(b"\0", 1)[0].decode("ascii", "replace"), bus=bus, device=device,
+            speed=speed, vendor=vendor, product=product, release=release, device_class=tuple(device_class),
+            configuration=configuration, configurations=configurations,
+        )  # fmt: skip
+        return entry, interfaces
 
 
 def _receive(sock: socket.socket, size: int) -> bytes:
@@ -86,12 +91,13 @@ def devices(host: str, port: int) -> list[Exported]:
         try:
             sock.sendall(_OP.pack(VERSION, _OP_DEVLIST, 0))
             version, code, status = _OP.unpack(_receive(sock, _OP.size))
+            # A reply has its request's code without the top bit.
             if code != _OP_DEVLIST & 0x7FFF or status != 0:
                 raise OSError(errno.EPROTO, f"{host}:{port} does not speak USB/IP (version {version:#06x})")
             exported = []
             for _ in range(struct.unpack(">I", _receive(sock, 4))[0]):
                 entry, interfaces = Exported.unpack(host, port, _receive(sock, _DEVICE.size))
-                _receive(sock, 4 * interfaces)
+                _receive(sock, 4 * interfaces)  # the classes of its interfaces, not needed
                 exported.append(entry)
             return exported
         except TimeoutError as error:
@@ -138,11 +144,11 @@ class Connection:
         self.device = device
         self._changed = threading.Condition()
         self._sending = threading.Lock()
-        self._receiving = False
-        self._seqnum = 0
-        self._pending: dict[int, Urb] = {}
-        self._unlinks: dict[int, Urb] = {}
-        self._input = bytearray()
+        self._receiving = False  # whether a thread reads the socket, for all that wait
+        self._seqnum = 0  # of the last request
+        self._pending: dict[int, Urb] = {}  # transfers without an answer, by seqnum
+        self._unlinks: dict[int, Urb] = {}  # those that are being ended, by the seqnum of that request
+        self._input = bytearray()  # what has come of the next answer
         self.lost = False
         self._socket = _connect(device.host, device.port)
         try:
@@ -151,7 +157,7 @@ class Connection:
             if code != _OP_IMPORT & 0x7FFF or status != 0:
                 number = _IMPORT_ERRNO.get(status, errno.EIO)
                 raise OSError(number, f"USB/IP import of {device.busid} was refused: {errno.errorcode[number]}")
-            _receive(self._socket, _DEVICE.size)
+            _receive(self._socket, _DEVICE.size)  # the device once more
         except BaseException as error:
             self._socket.close()
             if isinstance(error, TimeoutError):
@@ -187,7 +193,7 @@ class Connection:
             self._pending[urb.seqnum] = urb
         header = _URB.pack(
             *(_CMD_SUBMIT, urb.seqnum, self.device.devid, int(reading), urb.endpoint),
-            *(0, size, 0, 0, 0),
+            *(0, size, 0, 0, 0),  # no flags; the last three are of isochronous and interrupt transfers alone
             setup,
         )
         self._send(header + (data or b""))
@@ -209,8 +215,8 @@ class Connection:
         )
 
     def wait(self, urb: Urb, timeout_s: float | None) -> bool:
-        """Waits until the transfer is done; False on time-out. None waits for ever. Receives what the server sends,
-        unless another thread does so already."""
+        """Waits until the transfer is done; returns False where it is not within timeout_s (None waits for ever).
+        Receives what the server sends, unless another thread does so already."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._changed:
             while urb.status is None:
@@ -243,7 +249,7 @@ class Connection:
         if not done:
             self.unlink(urb)
             self.wait(urb, _UNLINK_S)
-            if urb.status in (None, -errno.ECONNRESET):
+            if urb.status in (None, -errno.ECONNRESET):  # no answer to the unlink, or that it ended the transfer
                 if not urb.actual:
                     raise OSError(errno.ETIMEDOUT, f"endpoint {endpoint:#04x}: timed out after {timeout_ms} ms")
                 urb.status = 0
@@ -258,7 +264,7 @@ class Connection:
             if not poll.poll(None if timeout_s is None else max(timeout_s, 0.0) * 1000.0):
                 return []
             chunk = self._socket.recv(1 << 18)
-        except BlockingIOError:
+        except BlockingIOError:  # nothing there after all
             return []
         except (OSError, ValueError):
             chunk = b""

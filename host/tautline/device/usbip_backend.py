@@ -231,12 +231,14 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
     def bulk_write(self, dev_handle: _Handle, ep: int, intf: int, data: array.array[int], timeout: int) -> int:
         """Sends data to an endpoint; returns the number of bytes. timeout: ms, 0 waits for ever."""
         with _usb_errors():
-            return dev_handle.connection.transfer(ep, data.tobytes(), 0, b"", timeout).actual
+            urb = dev_handle.connection.transfer(ep, data.tobytes(), length=0, setup=b"", timeout_ms=timeout)
+            return urb.actual
 
     def bulk_read(self, dev_handle: _Handle, ep: int, intf: int, buff: array.array[int], timeout: int) -> int:
         """Receives into `buff` from an endpoint; returns the number of bytes. timeout: ms, 0 waits for ever."""
         with _usb_errors():
-            urb = dev_handle.connection.transfer(ep, None, len(buff) * buff.itemsize, b"", timeout)
+            size = len(buff) * buff.itemsize
+            urb = dev_handle.connection.transfer(ep, None, length=size, setup=b"", timeout_ms=timeout)
         memoryview(buff).cast("B")[: len(urb.data)] = urb.data
         return len(urb.data)
 
@@ -258,7 +260,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         setup = struct.pack("<BBHHH", bmRequestType, bRequest, wValue, wIndex, size)
         payload = None if bmRequestType & _DEVICE_TO_HOST else data.tobytes()
         with _usb_errors():
-            urb = dev_handle.connection.transfer(0, payload, size, setup, timeout)
+            urb = dev_handle.connection.transfer(0, payload, length=size, setup=setup, timeout_ms=timeout)
         if payload is None:
             memoryview(data).cast("B")[: len(urb.data)] = urb.data
             return len(urb.data)

@@ -80,6 +80,7 @@ class Decoder:
     """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped."""
 
     def __init__(self) -> None:
+        """No byte has come yet."""
         self._parser = wire.Parser()
 
     def feed(self, data: bytes) -> Iterator[Message]:
@@ -118,7 +119,7 @@ def code(list_name: str, name: str) -> int:
 
 def name(list_name: str, number: int) -> str:
     """The name of a number in one of tl_wire.h's lists, the number itself where this version does not know it."""
-    return next((name for name, (value, _) in getattr(wire, list_name).items() if value == number), str(number))
+    return next((each for each, (value, _) in getattr(wire, list_name).items() if value == number), str(number))
 
 
 def text(list_name: str, number: int) -> str:
@@ -134,8 +135,8 @@ def fault(status: Message) -> str:
     return fault_text(status.fault, status.fault_value) if status.fault else ""
 
 
-def fault_name(status: Message) -> str | None:
-    """The name, as of TL_WIRE_FAULTS, of the fault in a status; None where there is none."""
+def fault_meaning(status: Message) -> str | None:
+    """The text in TL_WIRE_FAULTS of the fault in a status, without the measured value; None where there is none."""
     return text("FAULTS", status.fault) if status.fault else None
 
 
@@ -148,7 +149,7 @@ def fault_text(number: int, value: int) -> str:
 
 def flags(number: int) -> list[str]:
     """The names, in lower case, of the flags (TL_WIRE_FLAGS) that are set in a number."""
-    return [name.lower() for name, (bit, _) in wire.FLAGS.items() if number & bit]
+    return [each.lower() for each, (bit, _) in wire.FLAGS.items() if number & bit]
 
 
 def table_reason(number: int) -> str:

@@ -106,7 +106,8 @@ def parse(where: str) -> Address:
     numbers = _checked_numbers(where, kind, (match[2] or "1").split(","))
     defaults: dict[str, float] = {"rate": module.RATE_HZ} | ({"baud": module.BAUD} if module.BAUD else {})
     options = _checked_options(where, kind, options_text, defaults)
-    return Address(kind, match[1], numbers, options["rate"], round(options.get("baud", 0)))
+    baud = round(options.get("baud", 0))
+    return Address(kind=kind, bus=match[1], numbers=numbers, rate_hz=options["rate"], baud=baud)
 
 
 def _checked_numbers(where: str, kind: str, named: list[str]) -> tuple[int | str, ...]:
@@ -128,6 +129,7 @@ def _checked_options(where: str, kind: str, text: str, defaults: dict[str, float
     for part in filter(None, text.split("&")):
         key, _, value = part.partition("=")
         if key not in values or not re.fullmatch(r"\d+(\.\d+)?", value):
+            # rate=HZ, baud=BAUD
             takes = " and ".join(f"{name}={name.upper().replace('RATE', 'HZ')}" for name in values)
             raise _wrong(where, kind, f"has '{part}', and takes {takes}")
         values[key] = float(value)
@@ -174,4 +176,5 @@ def find_motors(where: str) -> list[BoardAddress]:
             drives.close()
             raise
 
-    return [BoardAddress(address.where, None, False, (wire.wire.MAJOR, wire.wire.MINOR), opened)]
+    protocol = (wire.wire.MAJOR, wire.wire.MINOR)  # the application's, which is of this version
+    return [BoardAddress(where=address.where, serial=None, busy=False, protocol=protocol, open=opened)]

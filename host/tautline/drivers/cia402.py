@@ -60,11 +60,11 @@ class Cia402:
         interface, _, channel = bus.partition("/")
         self._network = canopen.Network()
         self._answered = threading.Condition()
-        self._positions: dict[int, tuple[int, int]] = {}  # status word, counts
+        self._positions: dict[int, tuple[int, int]] = {}  # by node id: status word, counts
         self._unanswered = dict.fromkeys(self._numbers, 0)  # SYNCs so far whose answer has not come
-        self._speeds: dict[int, tuple[int, int]] = {}  # counts/s, share of the rated current in 1/1000
-        self._rated_ma: dict[int, float] = {}
-        self._beat_s = float("-inf")
+        self._speeds: dict[int, tuple[int, int]] = {}  # by node id: counts/s, share of the rated current in 1/1000
+        self._rated_ma: dict[int, float] = {}  # by node id: its rated current
+        self._beat_s = float("-inf")  # when the last heartbeat was sent, s of the clock
         try:
             self._network.connect(interface=interface, channel=channel, bitrate=baud)
         except (can.CanError, OSError, ValueError, NotImplementedError) as error:
@@ -124,36 +124,38 @@ class Cia402:
         it cannot have this period, or lacks an object that is needed."""
         self._set_network_state(node, _PRE_OPERATIONAL)  # the state in which process data can be mapped
         counts_per_turn, limits = self._read_limits(node)
-        self._map_process_data(node, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
+        answer, rest = [(*_STATUS, 16), (*_POSITION, 32)], [(*_VELOCITY, 32), (*_CURRENT, 16)]
+        told = [(*_CONTROL, 16), (*_TARGET, 32)]
+        self._map_process_data(node, mapping=0x1A00, parameters=0x1800, cob=0x180, objects=answer)  # TPDO 1
         with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
-            self._map_process_data(node, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
-        self._map_process_data(node, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])  # RPDO 1
+            self._map_process_data(node, mapping=0x1A01, parameters=0x1801, cob=0x280, objects=rest)  # TPDO 2
+        self._map_process_data(node, mapping=0x1600, parameters=0x1400, cob=0x200, objects=told)  # RPDO 1
         self._set_period(node, period_s)
-        self._write(node, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
+        self._write(node, _CONSUMER, _HOST << 16 | _LOST_MS, 4)  # watches the host's heartbeat
         self._write(node, _ON_LOSS, _QUICK_STOP, 2)
         homed = self._is_homed(node)
-        self._write(node, _MODE, _CSP, 1)
+        self._write(node, _MODE, _CSP, 1)  # after `_is_homed`, which leaves another mode
         self._network.subscribe(0x180 + node, self._on_position)
         self._network.subscribe(0x280 + node, self._on_speed)
         self._set_network_state(node, _START)
         model = self._read_text(node, _DEVICE) or "CiA 402"
         versions = " ".join(filter(None, (self._read_text(node, _HARDWARE), self._read_text(node, _SOFTWARE))))
-        return Drive(node, model, versions or "-", round(counts_per_turn), limits, homed)
+        return Drive(node, model, versions or "-", round(counts_per_turn), limits, referenced=homed)
 
     def _read_limits(self, node: int) -> tuple[float, DriveLimits]:
         """A drive's counts per turn and its limits, in counts. Without position limits they are +-RANGE; acceleration
         is at most _STARTS_MOST times the speed a second, and STARTS times it where the drive limits none. Keeps the
         rated current, mA, for `measure`."""
-        turn = self._read_number(node, _INCREMENTS) / max(self._read_number(node, _REVOLUTIONS, 1.0), 1.0)
-        speed = self._read_number(node, _MOTOR_RPM) / 60.0 * turn
+        counts_per_turn = self._read_number(node, _INCREMENTS) / max(self._read_number(node, _REVOLUTIONS, 1.0), 1.0)
+        speed = self._read_number(node, _MOTOR_RPM) / 60.0 * counts_per_turn
         acceleration = self._read_number(node, _ACCELERATION_MOST, 0.0) or STARTS * speed
         acceleration = min(acceleration, _STARTS_MOST * speed)
         low, high = self._read_number(node, _LOW, 0.0), self._read_number(node, _HIGH, 0.0)
         if low >= high:
             low, high = -RANGE, RANGE
         self._rated_ma[node] = self._read_number(node, _RATED_MA, 0.0)
-        current = self._rated_ma[node] * self._read_number(node, _CURRENT_MOST, 0.0) / 1000.0
-        return turn, DriveLimits(max(low, -RANGE), min(high, RANGE), speed, acceleration, current)
+        current_ma = self._rated_ma[node] * self._read_number(node, _CURRENT_MOST, 0.0) / 1000.0
+        return counts_per_turn, DriveLimits(max(low, -RANGE), min(high, RANGE), speed, acceleration, current_ma)
 
     def _set_period(self, node: int, period_s: float) -> None:
         """Tells a drive the time between SYNCs, as one byte times a power of ten of a second. TautError where that
@@ -252,7 +254,8 @@ class Cia402:
         word, whose bit 3 is a fault; counts: its position; speed and current are the last that came."""
         speed, share = self._speeds.get(node, (0, 0))
         fault = f"drive {node} has a fault" if status & 0x08 else ""
-        return Measured(t_s, float(counts), float(speed), share * self._rated_ma[node] / 1000.0, fault)
+        current_ma = share * self._rated_ma[node] / 1000.0
+        return Measured(t_s, q=float(counts), velocity=float(speed), current_ma=current_ma, fault=fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Sends each drive the counts that it goes to at the next SYNC; None sends one nothing."""
@@ -265,12 +268,13 @@ class Cia402:
         TautError where it does not reach a state."""
         node = self._numbers[axis]
         if not on:
+            # In place of a set-point that still waits for its SYNC.
             self._send(0x200 + node, struct.pack("<Hi", _VOLTAGE_OFF, 0))
             self._write(node, _CONTROL, _VOLTAGE_OFF, 2)
             return
         here = int.from_bytes(self._read(node, _POSITION), "little", signed=True)
         self._write(node, _TARGET, here, 4)
-        self._write(node, _CONTROL, _FAULT, 2)
+        self._write(node, _CONTROL, _FAULT, 2)  # clears it
         for control, state in ((_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)):
             self._write(node, _CONTROL, control, 2)
             self._wait_for_state(node, state)

@@ -54,7 +54,7 @@ class Dynamixel(SerialServos):
         self._unit_ma: dict[int, float] = {}  # by ID: mA of a unit of the current register, 0 without one
         self._hardware_errors = dict.fromkeys(numbers, "")  # by ID: in words, as they were read last
         self._cycles = 0
-        super().__init__(dynamixel_sdk, 2.0, bus, numbers, baud, clock)
+        super().__init__(dynamixel_sdk, protocol=2.0, bus=bus, numbers=numbers, baud=baud, clock=clock)
 
     def describe(self, number: int) -> Drive:
         """A servo's limits (counts, counts/s, counts/s2, mA), model and firmware from its registers. TautError where
@@ -68,10 +68,12 @@ class Dynamixel(SerialServos):
         low, high = (self.read(number, _LOW), self.read(number, _HIGH)) if mode == 3 else (-_EXTENDED, _EXTENDED)
         speed = self.read(number, _VELOCITY_LIMIT) * _COUNTS_PER_SPEED
         acceleration = self.read(number, _ACCELERATION_LIMIT) * _COUNTS_PER_ACCELERATION
-        unit = self._unit_ma[number] = 0.0 if model in _NO_CURRENT else _MA.get(model, _MA_OTHERS)
-        current = self.read(number, _CURRENT_LIMIT) * unit if unit else 0.0
-        limits = DriveLimits(low, high, speed, min(acceleration or np.inf, STARTS * speed), current)
-        return Drive(number, f"model {model}", str(self.read(number, _FIRMWARE)), _COUNTS_PER_TURN, limits, True)
+        unit_ma = self._unit_ma[number] = 0.0 if model in _NO_CURRENT else _MA.get(model, _MA_OTHERS)
+        current_ma = self.read(number, _CURRENT_LIMIT) * unit_ma if unit_ma else 0.0
+        acceleration = min(acceleration or np.inf, STARTS * speed)  # 0: the servo limits none
+        limits = DriveLimits(low, high, speed, acceleration, current_ma)
+        firmware = str(self.read(number, _FIRMWARE))
+        return Drive(number, f"model {model}", firmware, _COUNTS_PER_TURN, limits, referenced=True)
 
     def measure(self) -> list[Measured]:
         """Positions of all servos by one sync read. Every _ASK_ERRORS cycles one servo, the next one each time, is also
@@ -89,8 +91,13 @@ class Dynamixel(SerialServos):
         """A servo's answer to the sync read, _STATE, as counts, counts/s and mA. t_s: the middle of the round trip."""
         current, velocity, position = struct.unpack("<hii", state)
         number = self.numbers[axis]
-        current_ma = current * self._unit_ma[number]
-        return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current_ma, self._hardware_errors[number])
+        return Measured(
+            t_s,
+            q=float(position),
+            velocity=velocity * _COUNTS_PER_SPEED,
+            current_ma=current * self._unit_ma[number],
+            fault=self._hardware_errors[number],
+        )
 
     def encoded(self, goal: int) -> bytes:
         """A goal, counts, as the register's 4 bytes."""

@@ -43,7 +43,7 @@ class Feetech(SerialServos):
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
         """bus: the serial device; numbers: the servos' IDs; baud: bit/s; rate_hz: as every driver takes it, unused."""
-        super().__init__(scservo_sdk, 0, bus, numbers, baud, clock)
+        super().__init__(scservo_sdk, protocol=0, bus=bus, numbers=numbers, baud=baud, clock=clock)
 
     def describe(self, number: int) -> Drive:
         """A servo's limits (counts, counts/s), model and firmware from its registers. TautError where it is not in
@@ -56,13 +56,14 @@ class Feetech(SerialServos):
             low, high = -_MANY_TURNS, _MANY_TURNS
         firmware = self.read(number, _FIRMWARE)
         limits = DriveLimits(low, high, _SPEED, STARTS * _SPEED)
-        version = f"{firmware & 0xFF}.{firmware >> 8}"
-        return Drive(number, f"model {self.read(number, _MODEL)}", version, _COUNTS_PER_TURN, limits, True)
+        version = f"{firmware & 0xFF}.{firmware >> 8}"  # the first byte is the major one
+        return Drive(number, f"model {self.read(number, _MODEL)}", version, _COUNTS_PER_TURN, limits, referenced=True)
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
         """A servo's answer to the sync read, _STATE, as counts, counts/s and mA. t_s: the middle of the round trip."""
-        said = ", ".join(name for bit, name in _ERRORS.items() if state[9] >> bit & 1)
-        return Measured(t_s, _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA, said)
+        position, speed, current_ma = _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA
+        fault = ", ".join(name for bit, name in _ERRORS.items() if state[9] >> bit & 1)
+        return Measured(t_s, position, speed, current_ma, fault)
 
     def encoded(self, goal: int) -> bytes:
         """A position, counts, as the goal register's 2 bytes, of which bit 15 is the sign. Beyond +-32767 it is

@@ -88,14 +88,14 @@ class HostedLink:
         # The application's counts in one of the drive's.
         self._scales = [_counts_scale(drive.limits.speed) for drive in drives.drives]
         first = self._as_application_rows(self._first_measurement(), whole=True)
-        self._last_s = clock()
+        self._last_s = clock()  # up to which the application has run
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
         kind, _, serial = where.partition(":")
         try:
             self._board = _native.HostedBoard(kind[:15], _serial_number(serial), min(most_ma, 0xFFFF), flash, first)
         except ValueError as error:
             raise TautError(f"{self._file}: is no memory of such motors ({error}): remove it") from error
-        self._writes = 0
+        self._writes = 0  # of the application's flash, that its file has
         self._adopt_limits_and_positions([q / _Q8 for q, _, _ in first])
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -154,7 +154,7 @@ class HostedLink:
 
     def _ask_application(self, name: str, **values: Any) -> wire.Message:
         """Sends the application a message from this link itself, as a host would, and returns the answer to it.
-        TautError where the application refuses."""
+        TautError where the application refuses, as it does limits of a drive that it cannot use."""
         self._board.receive(wire.encode(name, 1, **values), self._us(self._clock()))
         for message in wire.Decoder().feed(self._board.transmit()):
             if message.sequence == 1 and message.name not in ("batch", "event", "progress", "onset"):
@@ -212,7 +212,7 @@ class HostedLink:
         self.timing.fault = next((m.fault for m in measured if m.fault), self.timing.fault)
         with self._lock:
             rows = self._as_application_rows(measured)
-            self._board.run(self._us(t_s), rows, 0)
+            self._board.run(self._us(t_s), rows, 0)  # 0: the motors' supply is not measured
             goals = [self._board.goal(axis) for axis in range(len(measured))]
             self._estimate_delay([q for q, _, _ in rows], goals)
             self._save_flash()

@@ -63,7 +63,14 @@ class Moteus:
             raise
         limits = DriveLimits(-RANGE, RANGE, _SPEED, STARTS * _SPEED)
         self.drives = [
-            Drive(number, "moteus", "-", _COUNTS_PER_TURN, limits, referenced)
+            Drive(
+                number,
+                model="moteus",
+                firmware="-",
+                counts_per_turn=_COUNTS_PER_TURN,
+                limits=limits,
+                referenced=referenced,
+            )
             for number, referenced in zip(numbers, known, strict=True)
         ]
 
@@ -119,8 +126,13 @@ class Moteus:
         position, speed = values[_Register.POSITION], values[_Register.VELOCITY]
         if not math.isfinite(position):
             raise Missed("the controller does not know its position")
-        current_ma = 1e3 * values[_Register.Q_CURRENT]
-        return Measured(t_s, position * _COUNTS_PER_TURN, speed * _COUNTS_PER_TURN, current_ma, fault)
+        return Measured(
+            t_s,
+            q=position * _COUNTS_PER_TURN,
+            velocity=speed * _COUNTS_PER_TURN,
+            current_ma=1e3 * values[_Register.Q_CURRENT],
+            fault=fault,
+        )
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Sends the controllers that have a goal its position and speed; at this speed they go on until the next one
@@ -150,7 +162,7 @@ class Moteus:
     def close(self) -> None:
         """Closes the bus; controllers stop by their watchdog."""
         self._transport.close()
-        self._loop.run_until_complete(asyncio.sleep(0))
+        self._loop.run_until_complete(asyncio.sleep(0))  # lets what close() has scheduled happen
         self._loop.close()
 
 

@@ -45,13 +45,13 @@ class RosJoints:
         self._names, self._clock = [str(name) for name in names], clock
         self._state_arrived = threading.Condition()
         self._newest: tuple[float, Any] | None = None  # when it was measured, s; the message
-        self._used: Any = None
+        self._used: Any = None  # the message that was measured from last
         self._other_joints: set[str] = set()  # joints in messages that have not all of ours
-        self._positions: list[float] = []  # of each joint, rad or m: measured last,
-        self._off_positions: list[float] = []  # and when it was switched off
-        self._set_points: list[float | None] = [None for _ in names]  # set-points, while they are on
+        self._positions: list[float] = []  # of each joint, rad or m, as it was measured last
+        self._off_positions: list[float] = []  # where each was switched off
+        self._set_points: list[float | None] = [None for _ in names]  # None while a joint is off
         self._description = ""
-        self._counts: list[float] = []  # of each joint, a rad or m
+        self._counts: list[float] = []  # of each joint, in a rad or m
         self._graph = Graph("tautline_motors")
         try:
             self._open(states, commands)
@@ -63,9 +63,9 @@ class RosJoints:
         """Subscribes to the topic `states`, publishes on `commands`, waits until both have a partner, and finds what
         the joints are (`drives`). TautError that says which is missing."""
         description = self._subscribe(states)
-        where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
-        self._find_joints(states, where)
-        self._kind = self._command_type(commands, where)
+        advice = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
+        self._find_joints(states, advice)
+        self._kind = self._command_type(commands, advice)
         self._commands = self._graph.node.create_publisher(self._message_type(), commands, 10)
         self._wait_for(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
         self._positions = [math.nan for _ in self._names]
@@ -87,9 +87,9 @@ class RosJoints:
         self._graph.begin()
         return description
 
-    def _find_joints(self, states: str, where: str) -> None:
-        """Waits for a joint state that has all our joints. TautError that says what came instead; `where` is appended
-        as advice if nothing came."""
+    def _find_joints(self, states: str, advice: str) -> None:
+        """Waits for a joint state that has all our joints. TautError that says what came instead; `advice` is appended
+        if nothing came."""
         if not self._wait_for(lambda: self._newest is not None, _FIRST_S):
             missing = ", ".join(name for name in self._names if name not in self._other_joints)
             if self._other_joints and missing:
@@ -99,7 +99,7 @@ class RosJoints:
             if self._other_joints:
                 ours = ", ".join(self._names)
                 raise TautError(f"ros: no message on {states} has positions of {ours}: name joints of one broadcaster")
-            raise TautError(f"ros: no joint states came on {states}: {where}")
+            raise TautError(f"ros: no joint states came on {states}: {advice}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
         """Type and limits by joint (see `_joints_of_description`) from the robot's description on `topic`, waiting
@@ -115,9 +115,9 @@ class RosJoints:
                 raise TautError(f"ros: {topic} has no joint {name}: check its name")
         return described
 
-    def _command_type(self, commands: str, where: str) -> str:
+    def _command_type(self, commands: str, advice: str) -> str:
         """The message type, _ARRAY or _STATE, that subscribers of the topic `commands` take; _ARRAY where they take
-        both. TautError where nobody subscribes within _FIRST_S (`where` is appended as advice), or to neither."""
+        both. TautError where nobody subscribes within _FIRST_S (`advice` is appended), or to neither."""
         node = self._graph.node
         topic = self._graph.topic(commands)
 
@@ -126,7 +126,7 @@ class RosJoints:
             return {info.topic_type for info in node.get_subscriptions_info_by_topic(topic)}
 
         if not self._wait_for(lambda: bool(kinds()), _FIRST_S):
-            raise TautError(f"ros: nobody takes set-points on {commands}: {where}")
+            raise TautError(f"ros: nobody takes set-points on {commands}: {advice}")
         found = kinds() & {_ARRAY, _STATE}
         if not found:
             raise TautError(f"ros: {commands} takes {', '.join(sorted(kinds()))}: name one of {_ARRAY} or {_STATE}")
@@ -185,7 +185,8 @@ class RosJoints:
         if not math.isfinite(speed):
             speed = 0.0
         counts_per_unit = self._counts[axis] if self._counts else 1.0
-        return Measured(t_s, self._positions[axis] * counts_per_unit, speed * counts_per_unit, 0.0, fault)
+        q = self._positions[axis] * counts_per_unit
+        return Measured(t_s, q=q, velocity=speed * counts_per_unit, current_ma=0.0, fault=fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Publishes where each joint is to be; None leaves one's set-point as it is."""
@@ -242,8 +243,9 @@ def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
 
 
 def _drive(name: str, described: dict[str, str]) -> Drive:
-    """The drive of a joint by its type and limits in the URDF (rad or m, and s), in counts. Without any it is a joint
-    that turns without an end; without a speed limit it has 1 turn/s or 0.1 m/s."""
+    """The drive of a joint, in counts, by its type and limits in the URDF, rad or m, and s (`described`, as of
+    `_joints_of_description`). Without any, {}, it is a joint that turns without an end; without a speed limit it has
+    1 turn/s or 0.1 m/s."""
     slides = described.get("type") == "prismatic"
     per, counts = ("m", _METRE) if slides else ("turn", _TURN)
     counts_per_unit = counts if slides else counts / math.tau
@@ -264,4 +266,6 @@ def _drive(name: str, described: dict[str, str]) -> Drive:
         low, high = max(limit("lower"), -RANGE), min(limit("upper"), RANGE)
     limits = DriveLimits(low, high, speed, STARTS * speed)
     kind = described.get("type") or "joint without a description"
-    return Drive(name, kind, "-", counts, limits, referenced=True, per=per)
+    return Drive(
+        name, model=kind, firmware="-", counts_per_turn=counts, limits=limits, referenced=True, per=per
+    )  # fmt: skip

@@ -32,10 +32,10 @@ def find(name: str) -> Topic:
     wanted = name.strip().strip("[]").casefold()
     if wanted.startswith("simulator."):
         return of_effect(wanted)
-    exact = [topic for topic in known.values() if topic.code.casefold() == wanted]
-    other = [topic for topic in known.values() if wanted in _names(topic)]
-    if exact or other:
-        return (exact or other)[0]
+    by_code = [topic for topic in known.values() if topic.code.casefold() == wanted]
+    by_alias = [topic for topic in known.values() if wanted in _names(topic)]
+    if by_code or by_alias:
+        return (by_code or by_alias)[0]
     ends = [topic for topic in known.values() if topic.code.casefold().endswith(f".{wanted}")]
     if len(ends) == 1:
         return ends[0]
@@ -71,8 +71,8 @@ def _effects() -> Iterator[Topic]:
         "effect",
         f"{own.says[:1].upper()}{own.says[1:]}: {own.id} of a diagnosis with --simulator, NAME being a parameter of it "
         "such as elbow.damping or servo.kp.",
-        own.tell,
-        own.mend,
+        tell=own.tell,
+        mend=own.mend,
     )
     for kind in LIBRARY:
         event = (
@@ -90,9 +90,9 @@ def _effects() -> Iterator[Topic]:
             kind.id,
             "effect",
             f"{kind.says[:1].upper()}{kind.says[1:]}.",
-            kind.tell,
-            " ".join(part for part in (kind.mend, event, held) if part),
-            rows,
+            tell=kind.tell,
+            mend=" ".join(part for part in (kind.mend, event, held) if part),
+            rows=rows,
         )
 
 
@@ -122,7 +122,8 @@ def _faults() -> Iterator[Topic]:
         says, _, mend = text.partition(": ")
         says, measured = _without_measure(says)
         mended = f"{mend[:1].upper()}{mend[1:]}. {AFTER}" if mend else AFTER
-        yield Topic(name, "fault", f"{says[:1].upper()}{says[1:]}.{measured}", LOOK.get(name, ""), mended)
+        what = f"{says[:1].upper()}{says[1:]}.{measured}"
+        yield Topic(name, "fault", what, tell=LOOK.get(name, ""), mend=mended)
 
 
 def _without_measure(says: str) -> tuple[str, str]:
@@ -163,7 +164,7 @@ def _keys() -> Iterator[Topic]:
                 f"{file}.{section.name}.{key.name}",
                 file,
                 f"{key.says[:1].upper()}{key.says[1:]}. Expected: {key.expected}. {needed}",
-                f"A wrong one shows itself: {key.wrong}." if key.wrong else "",
+                tell=f"A wrong one shows itself: {key.wrong}." if key.wrong else "",
                 rows=((f"[{section.name}]", f"{key.name} = {example}"),),
                 see=(f"{file}.{section.name}",),
                 aliases=(f"{section.name}.{key.name}",),

@@ -7,7 +7,7 @@ from tautline.explain.topic import Topic
 
 def _reason(code: str, what: str, tell: str, mend: str, *see: str) -> Topic:
     """The topic of a reason: what is wrong, how to tell, what to do, and codes of topics to see."""
-    return Topic(code, "reason", what, tell, mend, see=see)
+    return Topic(code, "reason", what, tell=tell, mend=mend, see=see)
 
 
 REASONS = (

@@ -32,5 +32,5 @@ class Topic:
 
     @property
     def file(self) -> str:
-        """Its page's name."""
+        """The name of the file of the topic's page."""
         return f"{self.kind}-{self.code.lower().replace(' ', '-').replace('.', '-').replace('_', '-')}.html"

@@ -59,8 +59,8 @@ class Findings:
 
     def sentences(self) -> list[str]:
         """The findings as sentences for terminal and page: counts, usual growth, and then who is named as what."""
-        made, of = count_of(self.sessions, "session"), count_of(self.robots, "robot")
-        said = [f"{made} of {of}, {self.failed} without a calibration."]
+        sessions, robots = count_of(self.sessions, "session"), count_of(self.robots, "robot")
+        said = [f"{sessions} of {robots}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
             goes = "grows" if self.wear >= 0.0 else "shrinks"
             more = f"by {100 * self.wear_spread:.0f} % more or less of that"
@@ -85,14 +85,13 @@ def count_of(count: int, what: str) -> str:
 
 @dataclass(frozen=True)
 class _Growth:
-    """Growth of B a session of each robot, (n,). It is wear times use, and use is log-normal, so that robots are
-    compared by the logarithm of growth (`log`), which goes over into a straight line where growth is no more than its
-    sigma."""
+    """Growth of B a session of n robots. Growth is wear times use, and use is log-normal, so that robots are compared
+    by the logarithm of growth (`log`), which goes over into a straight line where growth is no more than its sigma."""
 
-    robot: tuple[str, ...]
-    batch: tuple[str | None, ...]
-    rate: Array  # growth a session, as a share of B
-    sigma: Array  # of `rate`
+    robot: tuple[str, ...]  # n names
+    batch: tuple[str | None, ...]  # n, None: of no batch
+    rate: Array  # (n,) growth a session, as a share of B
+    sigma: Array  # (n,) of `rate`
 
     @classmethod
     def of(cls, rows: Sequence[Row]) -> _Growth:
@@ -155,7 +154,7 @@ def _findings(rows: Sequence[Row]) -> Findings:
         robots=len({row.robot for row in rows}),
         sessions=len(rows),
         failed=sum(row.verdict == FAILED for row in rows),
-        wear=growth.usual_sigma * float(np.sinh(groups.usual)) if groups else float("nan"),
+        wear=growth.usual_sigma * float(np.sinh(groups.usual)) if groups else float("nan"),  # _Growth.log undone
         wear_spread=groups.spread if groups else float("nan"),
         drifting=tuple(sorted(_drifting_robots(growth), key=lambda one: -abs(one.value))),
         worn=tuple(worn),
@@ -215,7 +214,8 @@ def _fit_groups(growth: _Growth) -> _Groups | None:
         """The groups for the parameters x (4,), lengths in `unit`: mean of the first less `middle`; log of the spread;
         log of how much further away than _APART spreads the second is; log odds."""
         own_spread = unit * np.exp(x[1])
-        return _Groups(middle + unit * x[0], own_spread, _APART * own_spread + unit * np.exp(x[2]), float(x[3]))
+        sooner = _APART * own_spread + unit * np.exp(x[2])
+        return _Groups(usual=middle + unit * x[0], spread=own_spread, sooner=sooner, odds=float(x[3]))
 
     # Prior of both: the spread is about `unit`, within a factor of e.
     def cost_of_one(x: Array) -> float:

@@ -133,8 +133,8 @@ def growth_picture(rows: Sequence[Row], found: Findings) -> Figure:
     for of_group, colour in ((False, figures.UP), (True, figures.MODEL)):
         at = [k for k, row in enumerate(order) if (row.robot in worn) is of_group]
         rate = [100 * (order[k].wear or 0.0) for k in at]
-        sigma = [200 * (order[k].wear_sigma or 0.0) for k in at]
-        ax.errorbar(at, rate, yerr=sigma, fmt="o", markersize=2.5, linewidth=0.7, color=colour)
+        two_sigma = [2.0 * 100 * (order[k].wear_sigma or 0.0) for k in at]
+        ax.errorbar(at, rate, yerr=two_sigma, fmt="o", markersize=2.5, linewidth=0.7, color=colour)
     ax.axhline(0.0, color=figures.GREY, linewidth=0.8)
     ax.set_xlabel("robot, batch by batch")
     ax.set_ylabel("growth of B a session (%)")

@@ -49,10 +49,10 @@ class Curves:
     together: Array | None = None  # (n, k) the part of sigma by which all places of a curve are off together, signed
 
     def of(self, keep: npt.NDArray[np.intp]) -> Curves:
-        """The curves with the indices `keep`."""
+        """The curves of the sessions with the indices `keep` (m,)."""
         names = tuple(self.names[k] for k in keep)
         together = None if self.together is None else self.together[keep]
-        return Curves(self.q, self.value[keep], self.sigma[keep], names, together)
+        return Curves(self.q, self.value[keep], self.sigma[keep], names=names, together=together)
 
     @property
     def dimensions(self) -> Array:
@@ -109,7 +109,8 @@ class Population:
 
 def _log_student(squares: Array, size: npt.ArrayLike, freedom: float) -> Array:
     """Logarithm of a multivariate Student t's density at squared Mahalanobis distances `squares`, in `size` dimensions,
-    less the term -log(det(scale matrix)) / 2, which the caller adds. Element by element."""
+    less the term -log(det(scale matrix)) / 2, which the caller adds. freedom: its degrees of freedom. Element by
+    element."""
     size = np.asarray(size)
     constant = gammaln(0.5 * (freedom + size)) - gammaln(0.5 * freedom) - 0.5 * size * np.log(freedom * np.pi)
     return np.asarray(constant - 0.5 * (freedom + size) * np.log1p(squares / freedom))
@@ -132,7 +133,7 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     sigma = np.where(measured, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
     by_delay = np.array([row.width_by_delay or (0.0,) * len(q) for row in usable])
     together = np.where(measured, np.clip(by_delay / width, -sigma, sigma), 0.0)
-    return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable), together)
+    return Curves(q, np.log(width), sigma, names=tuple(row.robot for row in usable), together=together)
 
 
 def paths(rows: Sequence[Row]) -> list[Curves]:
@@ -186,8 +187,8 @@ def population(curves: Curves, of_next: bool = False) -> Population:
         training, test = curves.of(np.flatnonzero(~left_out)), curves.of(np.flatnonzero(left_out))
         fitted = {freedom: _fit_mean_and_scatter(training, freedom) for freedom in tails}
         for i, (length, worth, freedom) in enumerate(choices):
-            known = _shrink_scatter(*fitted[freedom], training, length, worth, freedom)
-            score[i] += float(test.weight @ known.log_density(test))
+            candidate = _shrink_scatter(*fitted[freedom], training, length, worth, freedom)
+            score[i] += float(test.weight @ candidate.log_density(test))
     length, worth, freedom = choices[int(np.argmax(score))]
     return _shrink_scatter(*_fit_mean_and_scatter(curves, freedom), curves, length, worth, freedom)
 
@@ -207,13 +208,14 @@ def single(curves: Curves) -> Population:
             pulls = weight * (freedom + 1.0) / (freedom + (value - mean[:, None]) ** 2 / total) / total
             mean = (pulls @ value) / pulls.sum(axis=1)
         means[i], mean_variances[i] = mean, 1.0 / (weight / total).sum(axis=1)
-        density = _log_student((value - mean[:, None]) ** 2 / total, 1.0, freedom) - 0.5 * np.log(total)
-        log_evidence[i] = density @ weight + 0.5 * np.log(mean_variances[i])
+        log_density = _log_student((value - mean[:, None]) ** 2 / total, 1.0, freedom) - 0.5 * np.log(total)
+        # equation: the mean integrated out, by Laplace
+        log_evidence[i] = log_density @ weight + 0.5 * np.log(mean_variances[i])
     probability = np.exp(log_evidence - log_evidence.max())
     probability /= probability.sum()
     usual = float(np.sum(probability * means))
     scale = float(np.sum(probability * (spreads[:, 0] ** 2 + mean_variances + (means - usual) ** 2)))
-    return Population(curves.q, np.array([usual]), np.array([[scale]]), _TAILS[0])
+    return Population(curves.q, np.array([usual]), np.array([[scale]]), _TAILS[0])  # the next robot's tail is heavy
 
 
 def _fit_mean_and_scatter(curves: Curves, freedom: float) -> tuple[Array, Array]:
@@ -223,9 +225,8 @@ def _fit_mean_and_scatter(curves: Curves, freedom: float) -> tuple[Array, Array]
     known = 1.0 / curves.sigma**2
     mean = np.sum(known * curves.value, axis=0) / np.sum(known, axis=0)
     scale = _kernel(curves, mean, _LENGTHS[1])
-    mean = _smoothed_mean(
-        mean, scale, 1.0 / np.sum(known, axis=0)
-    )  # where nobody tells it goes on from where somebody does
+    # At places of which no session says anything the mean goes on from its neighbours.
+    mean = _smoothed_mean(mean, scale, 1.0 / np.sum(known, axis=0))
     size = curves.dimensions
     for _ in range(_STEPS):
         off = curves.value - mean
@@ -246,7 +247,7 @@ def _shrink_scatter(
 ) -> Population:
     """The population with this mean (k,) and a scale matrix that is the weighted mean of `scale` (k, k), with the
     number of robots as its weight, and a smooth kernel of the same trace, with the weight `worth`. length: the
-    kernel's, a share of the range."""
+    kernel's, a share of the range; freedom: the population's degrees of freedom."""
     robots = float(curves.weight.sum())
     size = float(np.trace(scale)) / len(scale)
     kernel = _kernel(curves, mean, length)

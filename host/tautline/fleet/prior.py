@@ -28,7 +28,7 @@ def write(rows: Sequence[Row], out: Path) -> None:
     curves = log_widths(rows)
     unit = next(row.unit for row in rows if row.usable and row.q == tuple(curves.q.tolist()))
     with threadpool_limits(1, "blas"):
-        width = _as_json(population(curves, of_next=True))  # who may be worn; a law is what it is
+        width = _as_json(population(curves, of_next=True))  # B may be worn as no other's is; the path does not wear
         path = [_as_json(population(each)) for each in paths(rows)]
         delay_curves = delays(rows)
         delay = None if delay_curves is None else _as_json(single(delay_curves))

@@ -96,7 +96,7 @@ def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]
     for session in _folders(robot):
         places = (*_recordings(session), session, robot, folder)
         rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
-        yield Session(robot.name, session.name, batch, session, rig)
+        yield Session(robot=robot.name, name=session.name, batch=batch, folder=session, rig=rig)
 
 
 def _recordings(session: Path) -> list[Path]:

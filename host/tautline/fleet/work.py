@@ -60,7 +60,7 @@ def _with_calibration(row: Row, calibration: Calibration) -> Row:
         """Values on the model's grid, at `places`; empty without values."""
         return () if values is None else tuple(np.interp(places, model.q, values).tolist())
 
-    path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2
+    path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2  # (grid, coordinates); 0 without a path
 
     return replace(
         row,

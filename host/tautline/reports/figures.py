@@ -6,7 +6,7 @@ import base64
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -51,7 +51,8 @@ MANY = 3000  # format: samples from which a scatter is drawn as pixels inside th
 
 
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Array]:
-    """A figure of this size in inches and its axes (rows, columns), in the current style."""
+    """A figure of width x height inches and its axes (rows, columns), in the current style. options: of matplotlib's
+    `subplots`."""
     made = Figure(figsize=(width, height), layout="constrained")
     return made, made.subplots(rows, columns, squeeze=False, **options)
 
@@ -245,7 +246,7 @@ def main_axis(evidence: Evidence) -> tuple[Array, str]:
     centred = evidence.seen - evidence.seen.mean(axis=0)
     spread = np.cov(centred.T) if len(centred) > 1 else np.eye(2)
     along = np.linalg.svd(spread)[0][:, 0]
-    along = along * np.sign(along[np.argmax(np.abs(along))])
+    along = along * np.sign(along[np.argmax(np.abs(along))])  # its larger part positive: the SVD leaves the sign open
     return centred @ along, "marker along its path (px)"
 
 
@@ -292,11 +293,12 @@ def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], co
     picked = [views[round(i)] for i in np.linspace(0, len(views) - 1, min(count, len(views)))]
     unit = model.rig.actuator.unit
     made, axes = figure(11, 2.9, 1, len(picked))
-    for ax, (onset, path, moved, slope) in zip(axes[0], picked, strict=True):
+    for ax, view in zip(axes[0], picked, strict=True):
+        onset, farthest = view.onset, view.way.max()
         width, sigma = onset["width"], onset["sigma"]
         ax.axvspan(0, width, color=PALE, alpha=0.7, lw=0)
-        ax.plot(path, moved, ".", color=INK, ms=4)
-        ax.plot([0, width, path.max()], [0, 0, slope * (path.max() - width)], color=MODEL, lw=1.4)
+        ax.plot(view.way, view.moved, ".", color=INK, ms=4)
+        ax.plot([0, width, farthest], [0, 0, view.slope * (farthest - width)], color=MODEL, lw=1.4)
         ax.axvspan(width - 2 * sigma, width + 2 * sigma, color=MODEL, alpha=0.25, lw=0)
         ax.annotate(
             f"B = {width:.4g} ± {2 * sigma:.2g}",
@@ -313,27 +315,34 @@ def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], co
     return made
 
 
-def _frames_around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, float] | None:
-    """The frames around an onset, for its picture: the onset; for each of k frames the motor's way since it turned,
-    unit of q, and how far the tip had moved by then, px or deg; and the slope after the onset. None where too few
-    frames show it."""
+class _FramesAround(NamedTuple):
+    """k frames around an onset, for its picture."""
+
+    onset: Onset
+    way: Array  # (k,) of the motor since it turned, unit of q
+    moved: Array  # (k,) how far the tip had moved by then, px or deg, in the direction in which it goes
+    slope: float  # of `moved` over `way` after the onset
+
+
+def _frames_around(evidence: Evidence, onset: Onset) -> _FramesAround | None:
+    """The frames around an onset; None where too few show it."""
     width = max(onset["width"], 1e-9)
     t2 = onset["t_s"] + _clock_offset(evidence, onset)
     same = evidence.recording == evidence.index(onset["recording"])
-    path = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
+    way = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
     # Shares of the width: what is shown, and what is surely before or after the onset.
-    near = (path > -0.8 * width) & (path < 1.8 * width)
-    path, seen = path[near], evidence.seen[same][near]
-    still = (path > 0.1 * width) & (path < 0.95 * width)
-    moving = path > 1.05 * width
+    near = (way > -0.8 * width) & (way < 1.8 * width)
+    way, seen = way[near], evidence.seen[same][near]
+    still = (way > 0.1 * width) & (way < 0.95 * width)
+    moving = way > 1.05 * width
     if still.sum() < 2 or moving.sum() < 3:
         return None
     level = seen[still].mean(axis=0)
     towards = seen[moving].mean(axis=0) - level
     towards = towards / max(float(np.linalg.norm(towards)), 1e-12)
     moved = (seen - level) @ towards
-    reach = path[moving] - width
-    return onset, path, moved, float(reach @ moved[moving] / (reach @ reach))
+    reach = way[moving] - width
+    return _FramesAround(onset, way, moved, slope=float(reach @ moved[moving] / (reach @ reach)))
 
 
 @mpl.rc_context(STYLE)
@@ -429,11 +438,11 @@ def compared(models: Mapping[str, Model]) -> Figure:
     axes[0, 1].set(ylabel="bending c (deg)")
     axes[0, 1].set_title("f_remain (thick) and the envelopes that B makes of it")
     axes[0, 0].legend(loc="best")
-    name = next(iter(models))
+    first_name = next(iter(models))
     axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({finer(unit)[0]})")
-    axes[1, 0].set_title(f"B less that of {name}, ± 2 sigma of the difference")
+    axes[1, 0].set_title(f"B less that of {first_name}, ± 2 sigma of the difference")
     axes[1, 1].set(xlabel=f"q ({unit})", ylabel="rest of f_remain's change (deg)")
-    axes[1, 1].set_title(f"f_remain less that of {name}, its mean taken off")
+    axes[1, 1].set_title(f"f_remain less that of {first_name}, its mean taken off")
     for ax in axes[1]:
         ax.axhline(0.0, color=GREY, lw=0.8)
         if ax.get_legend_handles_labels()[0]:  # none where no two have measured the same q
@@ -441,27 +450,28 @@ def compared(models: Mapping[str, Model]) -> Figure:
     return made
 
 
-def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
-    """Draws a model's B (into the axes `width`) and f_remain (into `angle`, the mean taken off and said in the legend)
-    less those of `first`, with 2 sigma, over the q that both have measured; nothing where there is none. line: the
-    style, and the model's name as its label."""
+def _draw_change(of_width: Axes, of_angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
+    """Draws a model's B (into the axes `of_width`) and f_remain (into `of_angle`, the mean taken off and said in the
+    legend) less those of `first`, with 2 sigma, over the q that both have measured; nothing where there is none. line:
+    the style, and the model's name as its label."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     if not high > low:
         return
     q = np.linspace(low, high, 401)
     change = np.interp(q, model.q, model.width) - np.interp(q, first.q, first.width)
     sigma = np.hypot(np.interp(q, model.q, model.width_sigma), np.interp(q, first.q, first.width_sigma))
-    times = finer(first.rig.actuator.unit)[1]
-    low_side, high_side = times * (change - 2 * sigma), times * (change + 2 * sigma)
-    width.fill_between(q, low_side, high_side, color=line["color"], alpha=0.15, lw=0)
-    width.plot(q, times * change, **line)
-    moved = model.remaining(q) - first.remaining(q)
-    offset = float(moved.mean())
-    angle.plot(q, moved - offset, **{**line, "label": f"{line['label']}, beside {offset:+.2g} deg"})
+    per_unit = finer(first.rig.actuator.unit)[1]
+    low_side, high_side = per_unit * (change - 2 * sigma), per_unit * (change + 2 * sigma)
+    of_width.fill_between(q, low_side, high_side, color=line["color"], alpha=0.15, lw=0)
+    of_width.plot(q, per_unit * change, **line)
+    moved_deg = model.remaining(q) - first.remaining(q)
+    offset_deg = float(moved_deg.mean())
+    rest_deg = moved_deg - offset_deg
+    of_angle.plot(q, rest_deg, **{**line, "label": f"{line['label']}, beside {offset_deg:+.2g} deg"})
     if model.c_sigma is not None and first.c_sigma is not None:
-        spread = np.hypot(np.interp(q, model.q, model.c_sigma), np.interp(q, first.q, first.c_sigma))
-        centre = moved - offset
-        angle.fill_between(q, centre - 2 * spread, centre + 2 * spread, color=line["color"], alpha=0.15, lw=0)
+        sigma_deg = np.hypot(np.interp(q, model.q, model.c_sigma), np.interp(q, first.q, first.c_sigma))
+        low_side, high_side = rest_deg - 2 * sigma_deg, rest_deg + 2 * sigma_deg
+        of_angle.fill_between(q, low_side, high_side, color=line["color"], alpha=0.15, lw=0)
 
 
 @mpl.rc_context(STYLE)

@@ -187,7 +187,7 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
     rows = comparison(models)
     names = list(models)
     unit = models[names[0]].rig.actuator.unit
-    fine, times = figures.finer(unit)
+    fine, per_unit = figures.finer(unit)
     page = {
         "title": "How backlash and f_remain changed",
         "result": _comparison_sentences(rows, unit),
@@ -212,8 +212,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
                 row["model"],
                 _digits(row["width_mean"]),
                 f"{_digits(row['width_min'])} to {_digits(row['width_max'])}",
-                _digits(times * row["width_change_mean"], 2, sign=True),
-                _digits(times * row["width_change_max"], 2, sign=True),
+                _digits(per_unit * row["width_change_mean"], 2, sign=True),
+                _digits(per_unit * row["width_change_max"], 2, sign=True),
                 _digits(row["width_change_sigmas"], 2),
                 _digits(row["remaining_change_mean_deg"], 2, sign=True),
                 _digits(row["remaining_rest_rms_deg"], 2),
@@ -287,7 +287,8 @@ def picture(made: Figure, title: str, caption: str) -> Picture:
 
 
 def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
-    """A number with so many significant digits, at most 6 decimals, no exponent; "not measured" for None, NaN, inf."""
+    """A value with so many significant digits, at most 6 decimals, no exponent; "not measured" for None, NaN, inf.
+    sign: with + before a positive one."""
     if value is None or not np.isfinite(value):
         return "not measured"
     if round(value, 6) == 0:
@@ -333,7 +334,7 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
         lines.append("No width could be measured: no reversal reached the end of the backlash.")
     if evidence is None or not model.quality.usable:
         return lines
-    coarse, with_width, whole = evidence.rms()
+    coarse, with_width, whole = evidence.rms()  # of STAGES
     if not np.isfinite(whole):
         return [*lines, "The tip was never driven through a full backlash both ways, so nothing can be scored."]
     said = (
@@ -383,7 +384,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
     numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
     if model.sensor == MARKER or model.delay_s:
         sigma = model.uncertainty.delay_sigma_s
-        spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
+        spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"  # 2 sigma
         what = "image" if model.sensor == MARKER else "sensor"
         numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f}\u00a0ms", spread))
     if evidence is not None and np.isfinite(evidence.rms()[2]) and model.quality.usable:
@@ -445,17 +446,17 @@ def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
     """How each model differs from the first, in sentences. rows: of `comparison`; unit: of q."""
-    sentences = []
-    fine, times = figures.finer(unit)
+    said = []
+    fine, per_unit = figures.finer(unit)
     for row in rows[1:]:
         if not np.isfinite(row["width_mean"]):
-            sentences.append(f"{row['model']} has measured no q that {rows[0]['model']} has.")
+            said.append(f"{row['model']} has measured no q that {rows[0]['model']} has.")
             continue
         certain = "more than its uncertainty" if row["width_change_sigmas"] > 2 else "within the uncertainty"
-        sentences.append(
-            f"{row['model']}: B changed by {_digits(times * row['width_change_mean'], 2, sign=True)} {fine} on average "
-            f"and {_digits(times * row['width_change_max'], 2, sign=True)} {fine} at most, {certain}; "
+        mean, most = (_digits(per_unit * row[f"width_change_{each}"], 2, sign=True) for each in ("mean", "max"))
+        said.append(
+            f"{row['model']}: B changed by {mean} {fine} on average and {most} {fine} at most, {certain}; "
             f"f_remain by {_digits(row['remaining_change_mean_deg'], 2, sign=True)} deg throughout, and by "
             f"{_digits(row['remaining_rest_rms_deg'], 2)} deg rms about that."
         )
-    return sentences
+    return said

@@ -99,11 +99,12 @@ def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Pro
             f"squares of {board.dictionary}, {_LEAST_VIEWS} are needed: are --squares and --dictionary the print's, "
             "and is it sharp?"
         )
-    numbers = 2 * sum(len(points) for points in objects)
+    count = 2 * sum(len(points) for points in objects)  # of coordinates that were measured
     without_k3, with_k3 = (_calibrate_camera(objects, images, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
-    k3_asked_for = 2.0 * numbers * np.log(without_k3[0] / with_k3[0]) > np.log(numbers)
-    rms, values, sigma = with_k3 if k3_asked_for else without_k3
-    return Intrinsics(size, values, sigma, rms, len(objects), len(pictures))
+    # equation: n log(rms^2) falls by more than one parameter costs, log n
+    k3_asked_for = 2.0 * count * np.log(without_k3[0] / with_k3[0]) > np.log(count)
+    rms_px, values, sigma = with_k3 if k3_asked_for else without_k3
+    return Intrinsics(size, values, sigma, rms_px, views=len(objects), of=len(pictures))
 
 
 def _corners_of(

@@ -30,7 +30,8 @@ def put(document: Document, section: Section, key: Key, text: str) -> None:
         value = tomllib.loads(f"value = {bare}")["value"]
     except ValueError as error:  # no TOML, or a number of too many digits
         raise TautError(f"{name} is {text!r}, expected {key.expected}, as in {example(key)}") from error
-    document.setdefault(section.name, {})[key.name] = _as_toml_value(key.read(value, name, "as given"))
+    read = key.read(value, name, where="as given")  # what an error names in place of a file
+    document.setdefault(section.name, {})[key.name] = _as_toml_value(read)
 
 
 def find_key(name: str) -> tuple[Section, Key]:

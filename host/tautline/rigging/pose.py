@@ -88,20 +88,21 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
     best = fits[0]
     if not np.isfinite(best.cost):
         raise _undetermined()
-    strays = float(np.sqrt(2.0 * best.cost / (2 * len(places.c_deg) - 6)))
-    spread = max(strays, 1.0) ** 2
+    freedom = 2 * len(places.c_deg) - 6  # 3 n residuals less 6 + n unknowns
+    strays = float(np.sqrt(2.0 * best.cost / freedom))
+    spread = max(strays, 1.0) ** 2  # by which all variances grow
     covariance = _covariance(np.asarray(best.jac, dtype=float))[:6, :6] * spread
     pose = best.x[:6]
     off = residuals(best.x)[: 2 * len(sigma_px)].reshape(-1, 2) * sigma_px[:, None]
     others = [fit for fit in fits[1:] if np.abs(fit.x[:6] - pose).max() > 1e-3 * np.abs(pose).max()]
     return HandEyeFit(
-        _hand_eye(pose),
-        np.sqrt(np.diag(covariance)),
-        float(np.sqrt(np.mean(off**2))),
-        strays,
-        _angle_sigma(seen, pose, covariance, places.c_deg),
-        angle_sigma_deg,
-        min((2.0 * float(fit.cost - best.cost) / spread for fit in others), default=np.inf),
+        hand_eye=_hand_eye(pose),
+        sigma=np.sqrt(np.diag(covariance)),
+        left_px=float(np.sqrt(np.mean(off**2))),
+        strays=strays,
+        measures_deg=_angle_sigma(seen, pose, covariance, places.c_deg),
+        angle_sigma_deg=angle_sigma_deg,
+        rival=min((2.0 * float(fit.cost - best.cost) / spread for fit in others), default=np.inf),
     )
 
 

@@ -54,12 +54,12 @@ def position_of(message: Any, joint: str) -> float | None:
 def diagnostics(time_ns: int, name: str, board: str, level: str, says: str, values: Mapping[str, Any]) -> Any:
     """A diagnostic_msgs/DiagnosticArray with one status at a ROS time. name: of the status; board: its hardware id;
     level: OK, WARN or ERROR; says: its message; values: by key, those that are None are left out."""
-    of = library("diagnostic_msgs.msg")
-    rows = [of.KeyValue(key=key, value=_value_text(value)) for key, value in values.items() if value is not None]
-    status = of.DiagnosticStatus(
-        level=getattr(of.DiagnosticStatus, level), name=name, message=says, hardware_id=board, values=rows
+    types = library("diagnostic_msgs.msg")
+    rows = [types.KeyValue(key=key, value=_value_text(value)) for key, value in values.items() if value is not None]
+    status = types.DiagnosticStatus(
+        level=getattr(types.DiagnosticStatus, level), name=name, message=says, hardware_id=board, values=rows
     )
-    return of.DiagnosticArray(header=library("std_msgs.msg").Header(stamp=stamp(time_ns)), status=[status])
+    return types.DiagnosticArray(header=library("std_msgs.msg").Header(stamp=stamp(time_ns)), status=[status])
 
 
 def _value_text(value: Any) -> str:
@@ -72,6 +72,6 @@ def axis_values(status: wire.Message) -> dict[str, Any]:
     words."""
     return {
         "mode": wire.text("MODES", status.mode),
-        "fault": wire.fault_name(status),
+        "fault": wire.fault_meaning(status),
         "table": wire.text("TABLES", status.table),
     }

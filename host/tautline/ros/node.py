@@ -45,10 +45,10 @@ class Node:
         self.received = self.unusable = 0  # set-points: with a position of the joint, and without one
         self.replaced = 0  # by a newer one before they were sent: two in one cycle
         self._pending_rad: float | None = None  # rad, not sent on yet
-        self._set_point_lock = threading.Lock()  # of it and of what it replaced
-        self._batches: deque[wire.Message] = deque()
-        self._published_us = -1
-        self._diagnosed_s = -math.inf
+        self._set_point_lock = threading.Lock()  # of _pending_rad and `replaced`
+        self._batches: deque[wire.Message] = deque()  # telemetry that has not been published yet
+        self._published_us = -1  # board time of the last sample that was published
+        self._diagnosed_s = -math.inf  # time.monotonic() of the last diagnostics
         self._c_deg: float | None = None  # as the camera saw it last
         sensor, geometry = library("sensor_msgs.msg"), library("geometry_msgs.msg")
         node = graph.node
@@ -120,7 +120,8 @@ class Node:
         which the board took it."""
         if not self._batches:
             return
-        began_ns, period_us = self._ros_time_ns(0.0), round(1e6 * self.parameters.period_s)
+        # One offset for all samples of this call, so that their times keep their distances.
+        board_began_ns, period_us = self._ros_time_ns(0.0), round(1e6 * self.parameters.period_s)
         while self._batches:
             batch = self._batches.popleft()
             if batch.axis != self._live.axis:
@@ -129,7 +130,8 @@ class Node:
                 t_us = batch.t_us + i * batch.period_us
                 if t_us // period_us > self._published_us // period_us:
                     self._published_us = t_us
-                    self._publish_state(began_ns + 1000 * t_us, *(float(column[i]) for column in _columns(batch)))
+                    time_ns = board_began_ns + 1000 * t_us
+                    self._publish_state(time_ns, *(float(column[i]) for column in _columns(batch)))
 
     def _publish_state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
         """Publishes one telemetry sample on the four topics of joint states. time_ns: ROS time; q, q_ref: the motor's

@@ -39,7 +39,9 @@ class Endoscope:
     """
 
     def __init__(self, rig: Rig, look: Look | None = None, background: Array | None = None, seed: int = 0) -> None:
-        """background: a BGR picture scaled to cover the frame; without one a tissue-like one is made from the seed."""
+        """background: a BGR picture (rows, columns, 3) uint8 of any size, scaled to cover the frame; without one a
+        tissue-like one is made from the seed, of which the noise is, too. look: by default Look's own values. TautError
+        where the rig has no camera that sees the instrument."""
         if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
             raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to draw what its camera sees")
         self.rig, self.look = rig, look or Look()
@@ -50,27 +52,29 @@ class Endoscope:
         self._rng = np.random.default_rng([seed, 0xE7D0])
         tissue = _tissue(width, height, self._rng) if background is None else _cover(background, width, height)
         y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+        # Squared distance from the middle, 1 in the corners.
         far = ((x - width / 2) ** 2 + (y - height / 2) ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)
         self._gain = (1.0 - self.look.vignetting * far)[:, :, None].repeat(3, axis=2)
         self._tissue = tissue
         self._backdrop = _levels(tissue * self._gain)
         # Frames take their noise from random places of one larger picture of noise.
         bank = self._rng.standard_normal((height + 256, width + 256, 3), dtype=np.float32) * self.look.noise
-        self._noise = bank
-        self._noise_levels = np.clip(np.rint(bank), -127, 127).astype(np.int8)
+        self._noise = bank  # for the marker, which is rounded afterwards
+        self._noise_levels = np.clip(np.rint(bank), -127, 127).astype(np.int8)  # for all else: fast
 
     def position(
         self, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
     ) -> Array:
-        """The marker's true place (n, 2) px in each state."""
+        """The marker's true place (n, 2) px in each state; arguments (n,) or one number."""
         image: Array = project(self.rig, c_deg, translation_mm, rotation_deg)
         return image
 
     def frame(
         self, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
     ) -> Array:
-        """A BGR picture (height, width, 3) uint8. Each argument is a scalar, or (n,) states through which the exposure
-        passes at equal intervals; the marker is then blurred along them."""
+        """A BGR picture (height, width, 3) uint8 of the tip at c_deg, with the instrument's translation and rotation.
+        Each argument is a scalar, or (n,) states through which the exposure passes at equal intervals; the marker is
+        then blurred along them."""
         c, translation, turn = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (c_deg, translation_mm, rotation_deg))
         )
@@ -140,7 +144,8 @@ class Endoscope:
         `picture`, in place. Nothing where it is not in view."""
         share = np.linspace(0.0, 1.0, 14)
         length = self._kinematics.bending_length_mm
-        arc = length * share[:, None] * tip_bend(Kinematics(1.0, 0.0), c_deg * share)
+        # Up to a share of its length the section is itself an arc, of that share of its length and of its angle.
+        arc = length * share[:, None] * tip_bend(Kinematics(bending_length_mm=1.0, tip_length_mm=0.0), c_deg * share)
         end = tip_bend(self._kinematics, c_deg)
         shaft = np.array([[0.0, 0.0, z] for z in np.linspace(-60.0, -1.0, 30)])
         base = np.vstack([shaft, arc, 0.5 * (arc[-1:] + end), end])
@@ -151,7 +156,7 @@ class Endoscope:
             return
         line = to_image(self._camera, point)
         height, width = picture.shape[:2]
-        half = self._camera.fx_px * self.look.tube_radius_mm / point[:, 2]
+        half = self._camera.fx_px * self.look.tube_radius_mm / point[:, 2]  # px, of its width at each point
         along = np.gradient(line, axis=0)
         norm = np.hypot(along[:, 0], along[:, 1])
         across = np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(norm, 1e-9)[:, None]
@@ -187,8 +192,8 @@ def _spread_along(track: Array, blur_px: float) -> Array:
     steps = 1 if travelled < _RESTS_PX else min(_MOST_DISCS, 2 + int(_DISCS_A_BLUR * travelled / blur_px))
     if steps == 1:
         return np.asarray(track.mean(axis=0, keepdims=True))
-    own = (np.arange(steps) + 0.5) / steps
-    return np.column_stack([np.interp(own, np.linspace(0, 1, len(track)), track[:, i]) for i in (0, 1)])
+    shares = (np.arange(steps) + 0.5) / steps  # of the exposure
+    return np.column_stack([np.interp(shares, np.linspace(0, 1, len(track)), track[:, i]) for i in (0, 1)])
 
 
 def load_background(path: str | Path) -> Array:
@@ -200,13 +205,14 @@ def load_background(path: str | Path) -> Array:
 
 
 def _levels(picture: Array) -> Array:
-    """Levels as a camera gives them: rounded, 0 to 255, uint8."""
+    """A picture of any shape in levels as a camera gives them: rounded, 0 to 255, uint8."""
     levels: Array = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     return levels
 
 
 def _cover(picture: Array, width: int, height: int) -> Array:
-    """The picture scaled to cover width x height px, cut in the middle. TautError where it is not BGR of 8 bits."""
+    """A picture scaled to cover width x height px and cut in the middle, BGR (height, width, 3) uint8. TautError where
+    it is not BGR of 8 bits."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
         raise TautError("a background is a BGR picture of 8 bits: (height, width, 3) uint8")
     scale = max(width / picture.shape[1], height / picture.shape[0])
@@ -237,7 +243,7 @@ def _tissue(width: int, height: int, rng: np.random.Generator) -> Array:
     blue = 84.0 + 11.0 * pallor + 4.0 * cloud(60.0) + 2.0 * cloud(5.0)
     picture = np.dstack([blue, green, red]) * np.clip(light, 0.08, 1.0)[:, :, None]
 
-    drawn = np.zeros((height, width), np.float32)
+    drawn = np.zeros((height, width), np.float32)  # 1 on a vessel
     for _ in range(14):
         at, heading = rng.uniform(0, [width, height]), rng.uniform(0, 2 * np.pi)
         path = [at]
@@ -245,13 +251,12 @@ def _tissue(width: int, height: int, rng: np.random.Generator) -> Array:
             heading += rng.normal(0, 0.28)
             at = at + 9.0 * np.array([np.cos(heading), np.sin(heading)])
             path.append(at)
-        cv2.polylines(
-            drawn, [np.rint(np.array(path) * 16).astype(np.int32)], False, 1.0, int(rng.integers(1, 4)), 16, 4
-        )
+        points = np.rint(np.array(path) * 16).astype(np.int32)  # OpenCV's fixed point: 4 bits behind the point
+        cv2.polylines(drawn, [points], False, 1.0, int(rng.integers(1, 4)), lineType=cv2.LINE_AA, shift=4)
     vessels = cv2.GaussianBlur(drawn, (0, 0), 1.3)[:, :, None]
     picture = picture * (1.0 - vessels * np.array([0.30, 0.38, 0.14]))
 
-    for _ in range(22):
+    for _ in range(22):  # wet highlights
         at, size = rng.uniform(0, [width, height]), rng.uniform(1.0, 4.0, 2)
         spot = np.exp(-0.5 * (((x - at[0]) / size[0]) ** 2 + ((y - at[1]) / size[1]) ** 2))
         picture = picture + (255.0 * 1.4 * spot)[:, :, None]

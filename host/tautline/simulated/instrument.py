@@ -40,7 +40,8 @@ class Instrument:
     """
 
     def __init__(self, rig: Rig, grid: Array, width: Array, c_deg: Array, name: str = "own") -> None:
-        """grid: rising, unit of q; width: B >= 0 with |B'| < 2; c_deg: f_remain, strictly monotone."""
+        """grid (n,): rising, unit of q; width (n,): B there, >= 0, |B'| < 2, unit of q; c_deg (n,): f_remain there,
+        strictly monotone; name: as in truth.json. TautError where they are something else."""
         self.rig, self.name = rig, name
         self.grid = np.ascontiguousarray(grid, dtype=np.float64)
         self.width = np.ascontiguousarray(width, dtype=np.float64)
@@ -62,8 +63,8 @@ class Instrument:
 
     @classmethod
     def of(cls, rig: Rig, backlash: Law, remaining: Law, name: str = "own") -> Instrument:
-        """An instrument from B(p), in the unit of q, and f_remain(p), deg, sampled on a fine grid somewhat wider than
-        the motor's range."""
+        """An instrument from functions of p (n,), unit of q: backlash gives B(p), in that unit, and remaining
+        f_remain(p), deg. They are sampled on a fine grid somewhat wider than the motor's range."""
         low, high = rig.actuator.range
         margin = _BEYOND * rig.actuator.span
         grid = np.linspace(low - margin, high + margin, _NODES)
@@ -86,26 +87,28 @@ class Instrument:
         return p
 
     def bend(self, p: Array) -> Array:
-        """c = f_remain(p), deg."""
+        """c = f_remain(p) (n,), deg, at centre coordinates p (n,), unit of q."""
         c: Array = np.interp(p, self.grid, self.c_deg)
         return c
 
     def move(self, t_s: Array, q: Array) -> Array:
-        """c in deg at the motor positions q (see `centre`)."""
+        """c (n,), deg, at motor positions q (n,) at times t_s (n,), s (see `centre`)."""
         return self.bend(self.centre(t_s, q))
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
-        """As `centre`, with the other degrees of freedom at the same times (None: at rest at 0), which have no part in
-        it here; nor has a channel to lie in: `way` is 0."""
+        """Where the instrument goes as the motor goes along q (n,) at times t_s (n,), s (see `centre`). The other
+        degrees of freedom, (n,) at the same times (None: at rest at 0), change nothing here; `way` is 0, as there is no
+        channel."""
         p = self.centre(t_s, q)
         return InstrumentPath(p, self.bend(p), np.zeros_like(p))
 
     def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
-        """Where the marker is seen (n, 2), px; `way` as in InstrumentPath, without part in it here."""
+        """Where the marker is seen (n, 2), px, at bending angles c_deg (n,); translation_mm, rotation_deg: (n,) or one
+        number. way: as in InstrumentPath, which has no part in it here."""
         return project(self.rig, c_deg, translation_mm, rotation_deg)
 
     def backlash(self, p: Array) -> Array:
-        """B(p), unit of q."""
+        """B(p) (n,) at centre coordinates p (n,), unit of q."""
         width: Array = np.interp(p, self.grid, self.width)
         return width
 
@@ -139,11 +142,11 @@ class Corrected(Instrument):
 
     def centre(self, t_s: Array, q: Array) -> Array:
         """As `Instrument.centre`, with the model's effects."""
-        return self.course(t_s, q, None, None).p
+        return self.course(t_s, q, translation_mm=None, rotation_deg=None).p
 
     def move(self, t_s: Array, q: Array) -> Array:
         """As `Instrument.move`, with the model's effects."""
-        return self.course(t_s, q, None, None).c_deg
+        return self.course(t_s, q, translation_mm=None, rotation_deg=None).c_deg
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
         """As `Instrument.course`, with the model's effects, which know the motor's motion since `reset`."""
@@ -159,7 +162,7 @@ class Corrected(Instrument):
             """Another degree of freedom's new values (n,) at the times of past and new; None stays None."""
             return None if values is None else np.interp(t, new[0], values)
 
-        motor = Motor(t, moved, None, whole(translation_mm), whole(rotation_deg))
+        motor = Motor(t, moved, translation_mm=whole(translation_mm), rotation_deg=whole(rotation_deg))
         path = effects.follow(self._model, motor, new[0], self._effects, self._start_deg)
         self.p = float(path.p[-1])
         return InstrumentPath(path.p, path.c_deg, path.way)
@@ -180,12 +183,15 @@ def of_name(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
 def reference_rig() -> Rig:
     """A flexible instrument seen by the endoscope that carries it: 5 mm of cable, 60 deg to either side."""
     return Rig(
-        Actuator("mm", (-5.0, 5.0), 0.001),
-        Coarse(12.0, 0.0),
+        Actuator(unit="mm", range=(-5.0, 5.0), encoder_resolution=0.001),
+        Coarse(gain=12.0, offset=0.0),
         Kinematics(bending_length_mm=18.0, tip_length_mm=6.0),
-        Camera(720, 576, 520.0, 520.0, 360.0, 288.0, (0.0, 0.0, 0.0, 0.0, 0.0), frame_rate_hz=25.0, delay_s=0.080),
+        Camera(
+            width_px=720, height_px=576, fx_px=520.0, fy_px=520.0, cx_px=360.0, cy_px=288.0,
+            distortion=(0.0, 0.0, 0.0, 0.0, 0.0), frame_rate_hz=25.0, delay_s=0.080,
+        ),
         HandEye(rotation_deg=(4.0, -3.0, 2.0), translation_mm=(-4.0, 5.0, 14.0)),
-    )
+    )  # fmt: skip
 
 
 class _Scale:
@@ -217,13 +223,13 @@ class _Scale:
 
 
 def _bump(x: Array, centre: float, spread: float) -> Array:
-    """A Gaussian bump of height 1, spread one standard deviation."""
+    """(n,) A Gaussian bump of height 1 about `centre` at x (n,); spread: one standard deviation, as x."""
     height: Array = np.exp(-0.5 * ((x - centre) / spread) ** 2)
     return height
 
 
 def _bump_integral(x: Array, centre: float, spread: float) -> Array:
-    """The integral of `_bump` from 0 to x."""
+    """(n,) The integral from 0 to x (n,) of `_bump` with this centre and spread."""
     scale = spread * np.sqrt(2)
     area: Array = scale * np.sqrt(np.pi) / 2 * (erf((x - centre) / scale) - erf(-centre / scale))
     return area
@@ -261,13 +267,13 @@ def _random(rig: Rig, seed: int) -> Instrument:
     """B with two to four bumps, |B'| <= 1.2; f_remain with one to three dead or lively zones, slope 0.25 to 1.6 of
     f_coarse's; all drawn by the seed, numbers in half ranges."""
     rng = np.random.default_rng([seed, 0x1457])  # any number: other draws of this seed are independent
-    count = rng.integers([2, 1], [5, 4])
+    count = rng.integers([2, 1], [5, 4])  # of bumps and of zones; below, (centre, spread, height) of each
     bumps = [(rng.uniform(-0.9, 0.9), rng.uniform(0.12, 0.5), rng.uniform(-0.6, 1.0)) for _ in range(count[0])]
     zones = [(rng.uniform(-0.8, 0.8), rng.uniform(0.1, 0.4), rng.uniform(-0.25, 0.15)) for _ in range(count[1])]
     level, size, slope = rng.uniform(0.03, 0.15), rng.uniform(0.02, 0.08), rng.uniform(0.8, 1.1)
     x = np.linspace(-2.2, 2.2, 4401)
-    size = min(size, 1.2 / np.abs(np.gradient(_sum(_bump, x, bumps), x)).max())
-    depth = min(1.0, (slope - 0.25) / max(-_sum(_bump, x, zones).min(), 1e-9))
+    size = min(size, 1.2 / np.abs(np.gradient(_sum(_bump, x, bumps), x)).max())  # |B'| <= 1.2
+    depth = min(1.0, (slope - 0.25) / max(-_sum(_bump, x, zones).min(), 1e-9))  # f_remain's slope >= 0.25
     return _Scale(rig).instrument(
         f"random-{seed}",
         lambda x: np.maximum(0.01, level + size * _sum(_bump, x, bumps)),

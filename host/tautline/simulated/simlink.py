@@ -36,7 +36,7 @@ class SimLink:
     """One text request a line, one JSON object a line back; see `tautline-board`."""
 
     def __init__(self, port: int, host: str = "127.0.0.1") -> None:
-        """Connects to the board's sim link."""
+        """Connects to the board's sim link at host:port. TautError where no board answers."""
         try:
             self._socket = socket.create_connection((host, port), timeout=_START_S)
         except OSError as error:
@@ -142,7 +142,7 @@ class DesktopBoard(Closable):
         self.where = f"{prefix}:127.0.0.1:{self.ports[line]}"
 
     def link(self) -> SimLink:
-        """A new sim link to it, the caller's to close."""
+        """A new sim link to the board, which the caller closes."""
         return SimLink(self.ports["sim"])
 
     def close(self) -> None:
@@ -159,26 +159,27 @@ class SimulatedAxis:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
-        """The motor's true position is q, in the rig's unit; the play starts on its centre. Its time is the board's, s
-        since the board was switched on."""
+        """Begins where the axis' motor stands now, with the play on its centre. link: to the board. Times are the
+        board's, s since it was switched on; q is the motor's true position, in the rig's unit."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
+        # A part (n,) for each advance: s, q and p in the rig's unit, deg, and `way` of InstrumentPath.
         self._t: list[Array] = []
         self._q: list[Array] = []
         self._p: list[Array] = []
         self._c: list[Array] = []
         self._way: list[Array] = []
-        self._ends: tuple[float, float] | None = None
+        self._ends: tuple[float, float] | None = None  # of the motor, the rig's unit; None: it has none
         instrument.reset()
         state = link.ask("state")
-        self._boot_us = state["t_us"] - state["board_us"]
+        self._boot_us = state["t_us"] - state["board_us"]  # the simulation's time when the board was switched on
         self._append(np.array([state["board_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)
 
     def _append(self, t_s: Array, q: Array) -> None:
         """Moves the instrument by the motor's positions q (n,), the rig's unit, at t_s (n,); keeps where it went."""
         self._t.append(t_s)
         self._q.append(q)
-        course = self.instrument.course(t_s, q, None, None)
+        course = self.instrument.course(t_s, q, translation_mm=None, rotation_deg=None)
         self._p.append(course.p)
         self._c.append(course.c_deg)
         self._way.append(course.way)
@@ -201,7 +202,8 @@ class SimulatedAxis:
             self._advance(behind_us)
 
     def end_at(self, low: float, high: float) -> None:
-        """From now on the motor has mechanical ends there, the rig's unit: it cannot go on, but come back."""
+        """From now on the motor has mechanical ends at low and high, the rig's unit: it cannot go beyond, but come
+        back."""
         self._ends = low, high
 
     def _meet(self, low: float, high: float) -> None:
@@ -211,15 +213,15 @@ class SimulatedAxis:
         self.link.ask(f"inject {self.axis} {'blocked' if held else 'well'}")
 
     def _advance(self, us: int) -> None:
-        """Lets the board run for so many microseconds and moves the instrument along. It answers with the motor's
-        positions, 1/256 counts, at each millisecond since the last answer, the last one now."""
+        """Lets the board run for so many microseconds and moves the instrument along. The board answers with the
+        motor's positions, 1/256 counts, at each millisecond since the last answer, the last one now."""
         answer = self.link.ask(f"advance {us}")
         q = np.asarray(answer["q"][self.axis], dtype=np.float64) * self.resolution / _Q8
         step = answer["dt_us"]
         self._append((answer["t_us"] - self._boot_us + step * np.arange(1 - len(q), 1)) * 1e-6, q)
 
     def truth(self) -> tuple[Array, Array, Array, Array]:
-        """t_s, q and p (the rig's unit) and c in deg, one per millisecond."""
+        """(n,) each, one per millisecond of board time: t_s, s, q and p, the rig's unit, and c, deg."""
         t, q, p, c = (np.concatenate(parts) for parts in (self._t, self._q, self._p, self._c))
         return t, q, p, c
 
@@ -229,7 +231,8 @@ class SimulatedAxis:
 
     def marker(self, t_s: Array) -> Array:
         """Where the marker was seen (n, 2) px at past times (n,) s, the other degrees of freedom at rest at 0."""
-        return self.instrument.see(self._recent(t_s, self._c), self._recent(t_s, self._way), 0.0, 0.0)
+        c_deg, way = self._recent(t_s, self._c), self._recent(t_s, self._way)
+        return self.instrument.see(c_deg, way, translation_mm=0.0, rotation_deg=0.0)
 
     def _recent(self, t_s: Array, values: list[Array]) -> Array:
         """Values, kept in parts as _t is, at past times (n,) s, straight in between. Only the last parts are joined, as

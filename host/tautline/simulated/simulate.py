@@ -90,21 +90,22 @@ class Simulation:
         return np.interp(t_s, self.t_s, self.c_deg), *others
 
     def _save_video(self, folder: Path, endoscope: Endoscope, lossless: bool, progress: Progress | None) -> None:
-        """Draws the frames at their scene times and writes them as a video with frames.csv."""
+        """Draws the frames at their scene times and writes them as a video with frames.csv, beside the
+        marker's colour, picked where the marker is in the first."""
         camera = SimulatedCamera(endoscope, self.scene, self.timing)
         total = len(self.scene_s)
         place = endoscope.position(*self.scene(self.scene_s[:1]))[0]
-        arrivals = []
+        arrivals_s = []
         with VideoFile(folder / "video.mkv", self.timing.rate_hz, lossless) as video:
             for k in range(total):
-                picture, arrival = camera.read()
+                picture, arrival_s = camera.read()
                 if k == 0:
                     pick(picture, (float(place[0]), float(place[1]))).save(folder / COLOUR_FILE)
                 video.write(picture)
-                arrivals.append(arrival)
+                arrivals_s.append(arrival_s)
                 if progress and k % 25 == 0:
                     progress(k / total, "drawing the video")
-        frames = pd.DataFrame({"frame": np.arange(total), "t_s": arrivals})
+        frames = pd.DataFrame({"frame": np.arange(total), "t_s": arrivals_s})
         frames.to_csv(folder / "frames.csv", index=False, float_format="%.6f")
 
 
@@ -140,7 +141,7 @@ def run(
     angle_t = np.arange(0.0, end, 1 / 250.0)
 
     # Over all the times that anyone looks at: what a frame shows between two encoder samples is exact too.
-    every = np.unique(np.concatenate([t, scene, angle_t]))
+    every = np.unique(np.concatenate([t, scene, angle_t]))  # s; p and c below are at these times
     instrument.reset(start_p)
     at_every = (None if x is None else np.interp(every, t, x) for x in others)
     course = instrument.course(every, np.interp(every, t, trajectory.q), *at_every)
@@ -148,23 +149,40 @@ def run(
 
     marker = angle = None
     if rig.has_camera:
-        at = np.searchsorted(every, scene)
+        at_frames = np.searchsorted(every, scene)
         translation, rotation = (0.0 if x is None else np.interp(scene, t, x) for x in others)
-        image = instrument.see(c[at], course.way[at], translation, rotation) + rng.normal(0.0, noise_px, (len(at), 2))
-        camera = rig.camera
-        assert camera is not None  # has_camera
-        inside = np.all((image >= 0) & (image <= [camera.width_px - 1, camera.height_px - 1]), axis=1)
-        seen = np.where(inside[:, None], image, np.nan)
-        marker = Marker(arrival, seen[:, 0], seen[:, 1], inside, np.full(len(at), noise_px))
+        image = instrument.see(c[at_frames], course.way[at_frames], translation, rotation)
+        marker = _marker_in_frame(image + rng.normal(0.0, noise_px, image.shape), arrival, rig, noise_px)
     if angle_noise_deg is not None or not rig.has_camera:
-        at = np.searchsorted(every, angle_t)
-        angle = Angle(angle_t, c[at] + rng.normal(0.0, angle_noise_deg or 0.0, len(at)))
+        at_angles = np.searchsorted(every, angle_t)
+        angle = Angle(angle_t, c[at_angles] + rng.normal(0.0, angle_noise_deg or 0.0, len(at_angles)))
 
+    at_motor = np.searchsorted(every, t)
+    recording = Recording(name, _encoder_counts(trajectory, rig), marker, angle, rig=rig)
+    return Simulation(
+        recording, instrument, t_s=t, p=p[at_motor], c_deg=c[at_motor], scene_s=scene, timing=timing
+    )  # fmt: skip
+
+
+def _marker_in_frame(image_px: Array, arrival_s: Array, rig: Rig, noise_px: float) -> Marker:
+    """The marker at places (n, 2) px in frames that arrive at arrival_s (n,): not valid where it is outside of them.
+    noise_px: what is stated as its sigma. The rig has a camera."""
+    assert rig.camera is not None
+    inside = np.all((image_px >= 0) & (image_px <= [rig.camera.width_px - 1, rig.camera.height_px - 1]), axis=1)
+    u, v = np.where(inside[:, None], image_px, np.nan).T
+    return Marker(arrival_s, u, v, valid=inside, sigma_px=np.full(len(u), noise_px))
+
+
+def _encoder_counts(trajectory: Trajectory, rig: Rig) -> Motor:
+    """A trajectory as the rig's encoder reads it, in whole counts, with the true positions as the command."""
     resolution = rig.actuator.encoder_resolution
-    motor = Motor(t, np.round(trajectory.q / resolution) * resolution, trajectory.q, *others)
-    at = np.searchsorted(every, t)
-    recording = Recording(name, motor, marker, angle, rig=rig)
-    return Simulation(recording, instrument, t, p[at], c[at], scene, timing)
+    return Motor(
+        trajectory.t_s,
+        np.round(trajectory.q / resolution) * resolution,
+        q_cmd=trajectory.q,
+        translation_mm=trajectory.translation_mm,
+        rotation_deg=trajectory.rotation_deg,
+    )
 
 
 def simulate(rig: Rig, instrument: Instrument, trajectory: Trajectory, **options: Any) -> Recording:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,8 +56,8 @@ class Drive:
         changes, key = self._nonzero_changes(parameters)
         if key not in self._known:
             asked = self._asked.pop(key, None)
-            tip = self._simulator.tip(self.log, changes) if asked is None else asked.result()
-            self._known[key] = _with_coordinate(self.log, (tip - self._coarse.offset) / self._coarse.gain)
+            tip_deg = self._simulator.tip(self.log, changes) if asked is None else asked.result()
+            self._known[key] = _with_coordinate(self.log, (tip_deg - self._coarse.offset) / self._coarse.gain)
             if len(self._known) > _KEPT:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
@@ -81,4 +82,4 @@ def _resampled_log(motor: Motor, rig: Rig) -> Motor:
 
 def _with_coordinate(log: Motor, q: Array) -> Motor:
     """The log with the coordinate q (n,), unit of q, in place of the motor's, and no command."""
-    return Motor(log.t_s, q, None, log.translation_mm, log.rotation_deg, log.load_mNm, log.extra)
+    return replace(log, q=q, q_cmd=None)

@@ -62,7 +62,7 @@ class Mjcf:
         t_s = begin + step * np.arange(steps)
         command_times = t_s - parameters[f"{self.actuator}.delay"]
         data = self._initial_state(model, self.scale * float(motor.q[0]))
-        control = np.tile(data.ctrl, (steps, 1))
+        control = np.tile(data.ctrl, (steps, 1))  # of all actuators: the others stay as they begin
         command = self.scale * np.interp(command_times, motor.t_s, motor.q)
         if not self._has_filter and self._lag:
             command = _first_order_response(command, parameters[self._lag] / step)
@@ -165,18 +165,19 @@ class Mjcf:
             usual = 2.0 * _DAMPED * math.sqrt(kp * float(np.max(np.diag(mass_matrix))))
             rotary = self._joint is not None and model.jnt_type[self._joint] == mujoco.mjtJoint.mjJNT_HINGE
             force, per = _UNITS[rotary]
-            yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, _HALF * kp, _HUNDREDTH * kp)
-            yield Declared(f"{self.actuator}.kv", f"{force} s/{per}", kv, kv or usual, 0.0)
+            yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, spread=_HALF * kp, low=_HUNDREDTH * kp)
+            yield Declared(f"{self.actuator}.kv", f"{force} s/{per}", kv, spread=kv or usual, low=0.0)
         if self._lag:
             tau = float(model.actuator_dynprm[self._index, 0]) if self._has_filter else 0.0
             explicit = int(model.actuator_dyntype[self._index]) == mujoco.mjtDyn.mjDYN_FILTER
             least = min(tau, self.time_step) if explicit else 0.0  # such a filter is not stable below half a step
-            yield Declared(self._lag, "s", tau, tau or _LAG_S, least, tau + _DELAY_MOST_S)
-        yield Declared(f"{self.actuator}.delay", "s", 0.0, _DELAY_S, 0.0, _DELAY_MOST_S)
+            yield Declared(self._lag, "s", tau, spread=tau or _LAG_S, low=least, high=tau + _DELAY_MOST_S)
+        yield Declared(f"{self.actuator}.delay", "s", 0.0, spread=_DELAY_S, low=0.0, high=_DELAY_MOST_S)
 
     def _declared_of_joint(self, data: mujoco.MjData, name: str, mass_matrix: Array, kp: float) -> Iterator[Declared]:
-        """Yields a joint's own parameters: damping, friction, armature, and the mass that it carries. mass_matrix:
-        MuJoCo's, over all degrees of freedom; kp: of the servo, 0 without one."""
+        """Yields the own parameters of the joint `name`: damping, friction, armature, and the mass that it carries.
+        data: of the model, forward; mass_matrix (nv, nv): MuJoCo's, over all degrees of freedom; kp: of the servo, 0
+        without one."""
         import mujoco
 
         model = self._model
@@ -188,12 +189,14 @@ class Mjcf:
         damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
         armature = float(model.dof_armature[dof])
         light = 2.0 * _DAMPED * math.sqrt(stiffness * inertia)
-        yield Declared(f"{name}.damping", f"{force} s/{per}", damping, damping or light, 0.0)
-        yield Declared(f"{name}.frictionloss", force, friction, friction or _STUCK_RAD * stiffness, 0.0)
-        yield Declared(f"{name}.armature", "kg m^2" if rotary else "kg", armature, armature or inertia, 0.0)
+        stuck = _STUCK_RAD * stiffness
+        inertia_unit = "kg m^2" if rotary else "kg"
+        yield Declared(f"{name}.damping", f"{force} s/{per}", damping, spread=damping or light, low=0.0)
+        yield Declared(f"{name}.frictionloss", force, friction, spread=friction or stuck, low=0.0)
+        yield Declared(f"{name}.armature", inertia_unit, armature, spread=armature or inertia, low=0.0)
         if lifts(model, data, name) and not self._is_lifted(data, name):
             mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
-            yield Declared(f"{name}.load", "kg", mass, _HALF * mass, _HUNDREDTH * mass)
+            yield Declared(f"{name}.load", "kg", mass, spread=_HALF * mass, low=_HUNDREDTH * mass)
 
     def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
         """Whether the mass that this joint carries belongs to another joint's load already, as that carries this one: a
@@ -257,11 +260,12 @@ def _first_order_response(command: Array, steps: float) -> Array:
         return command
     kept = math.exp(-1.0 / steps)
     lag = steps * (1.0 - kept)  # of the last step's change, what is missing at its end
-    step = command - command[0]
-    now = (1.0 - lag) * step
-    now[1:] += (lag - kept) * step[:-1]
-    rows = now[:, None]
-    _native.first_order_sums(rows, kept)
+    moved = command - command[0]
+    # equation: y[k] = kept y[k - 1] + (1 - lag) u[k] + (lag - kept) u[k - 1]
+    driven = (1.0 - lag) * moved
+    driven[1:] += (lag - kept) * moved[:-1]
+    rows = driven[:, None]
+    _native.first_order_sums(rows, kept)  # in place: to each row `kept` times the one before is added
     return np.asarray(command[0] + rows[:, 0])
 
 
@@ -298,7 +302,7 @@ def simulator(
         "scale": scale,
     }
     at_step = partial(simulator, path, actuator, tip, unit, scale)
-    return Simulator(made.simulate, made.parameters, source, made.time_step, at_step)
+    return Simulator(made.simulate, made.parameters, source, step_s=made.time_step, at_step=at_step)
 
 
 @contextmanager

@@ -51,7 +51,7 @@ class SimulatedNominal:
         """The effects that the diagnosis may name: one for each of the simulator's parameters, 0 where the robot is as
         the simulator."""
         return tuple(
-            effects.of_simulator(p.name, p.unit, p.spread, p.low - p.nominal, p.high - p.nominal)
+            effects.of_simulator(p.name, p.unit, p.spread, low=p.low - p.nominal, high=p.high - p.nominal)
             for p in self.simulator.parameters
         )
 
@@ -87,7 +87,9 @@ def nominal(
     tests = [replace(robot, motor=drive.motor({})) for robot, drive in zip(robots, drives, strict=True)]
     model = _backlash_free_model(simulator, rig, by_marker)
     calibration = replace(_what_it_shows(model, tests[0], by_marker), name="simulator")
-    return SimulatedNominal(model, calibration, tuple(tests), (drives[0], *drives), simulator)
+    return SimulatedNominal(
+        model, calibration, tests=tuple(tests), drives=(drives[0], *drives), simulator=simulator
+    )  # fmt: skip
 
 
 def _backlash_free_model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
@@ -97,13 +99,13 @@ def _backlash_free_model(simulator: Simulator, rig: Rig, by_marker: bool) -> Mod
     q = np.linspace(low, high, _POINTS)
     sensor = MARKER if by_marker else ANGLE
     return Model(
-        rig,
-        q,
-        np.zeros(_POINTS),
-        np.zeros(_POINTS),  # a simulator's own chain is known
-        rig.coarse.gain * q + rig.coarse.offset,
-        rig.nominal_delay_s(sensor),
-        (low, high),
+        rig=rig,
+        q=q,
+        width=np.zeros(_POINTS),
+        width_sigma=np.zeros(_POINTS),  # a simulator's own chain is known
+        c_deg=rig.coarse.gain * q + rig.coarse.offset,
+        delay_s=rig.nominal_delay_s(sensor),
+        measured=(low, high),
         sensor=sensor,
         simulator=dict(simulator.source),
     )

@@ -49,7 +49,8 @@ class Sight:
                 f"{recording.name}: the marker is {median:.0f} px off the track of the site (in the median): "
                 "name the --camera that filmed it, at its resolution, and the --tip that carries the marker"
             )
-        return replace(recording, marker=None, video=None, angle=Angle(marker.t_s - late_s, angle, off < _OFF * extent))
+        seen = Angle(marker.t_s - late_s, angle, valid=off < _OFF * extent)
+        return replace(recording, marker=None, video=None, angle=seen)
 
     def angle(self, marker: Marker) -> tuple[Array, Array]:
         """The hinge's angle (n,), deg, at the place of the track that is nearest to the marker's in each of n frames,

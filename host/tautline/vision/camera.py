@@ -60,7 +60,8 @@ class VideoCamera(Closable):
         self, source: int | str | Path, *, size: tuple[int, int] | None = None, rate_hz: float | None = None
     ) -> None:
         """Opens the source: a device's number or path, a file, a stream's address or a GStreamer pipeline. size (width,
-        height) and rate are asked of a device, which may choose others. TautError where OpenCV cannot open it."""
+        height), px, and rate_hz are asked of a device, which may choose others. TautError where OpenCV cannot open
+        it."""
         self.name = f"camera {source}" if isinstance(source, int) else str(source)
         self._file = not isinstance(source, int) and Path(source).is_file()
         pipeline = not isinstance(source, int) and " ! " in str(source)
@@ -131,22 +132,22 @@ class VideoCamera(Closable):
         if not self._capture.grab():
             self._check_end()
             return None
-        grabbed = time.monotonic()
-        stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        grabbed_s = time.monotonic()
+        stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
         good, picture = self._capture.retrieve()
         if not good:
             self._check_end()
             return None
         if self._file:
-            self._first_s = stamp if self._first_s is None else self._first_s
-            return picture, stamp - self._first_s
-        stamped = 0.0 <= grabbed - stamp < 1.0
+            self._first_s = stamp_s if self._first_s is None else self._first_s
+            return picture, stamp_s - self._first_s
+        stamped = 0.0 <= grabbed_s - stamp_s < 1.0
         self.clock = (
             "the driver's stamps on the host's monotonic clock"
             if stamped
             else "the host's monotonic clock when the frame was grabbed"
         )
-        arrival_s = stamp if stamped else grabbed
+        arrival_s = stamp_s if stamped else grabbed_s
         self._drops.add(arrival_s)
         return picture, arrival_s
 
@@ -210,11 +211,13 @@ class VideoFile:
         self._writer.write(picture)
 
     def __enter__(self) -> Self:
+        """Itself; the file is created by the first picture."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Ends the file, if a picture was written; an error of the block goes on."""
         if self._writer is not None:
             self._writer.release()
 
@@ -237,6 +240,7 @@ class SimulatedCamera:
         self._frames = (timing or FrameTiming.of(endoscope.rig)).frames()
         self._next = next(self._frames)
         half = 0.5 * endoscope.look.exposure_s
+        # Times, s from the exposure's middle, whose pictures a frame is the mean of.
         self._exposure = np.linspace(-half, half, _EXPOSURE_SAMPLES) if half > 0 else np.zeros(1)
 
     @property
@@ -251,9 +255,9 @@ class SimulatedCamera:
 
     def read(self) -> tuple[Array, float]:
         """The next frame, BGR (height, width, 3) uint8, and when it arrives, s of the simulation."""
-        scene, arrival = self._next
+        scene_s, arrival_s = self._next
         self._next = next(self._frames)
-        return self._endoscope.frame(*self._scene(scene + self._exposure)), arrival
+        return self._endoscope.frame(*self._scene(scene_s + self._exposure)), arrival_s
 
     def close(self) -> None:
         """Nothing is held."""

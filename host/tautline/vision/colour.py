@@ -130,10 +130,10 @@ def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
     _check_picture(picture)
     around = _surroundings(picture)
     mean, covariance = around
-    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    row = np.column_stack([root, -root @ mean]).astype(np.float32)
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).T  # equation: Mahalanobis distance = |root (colour - mean)|
+    affine = np.column_stack([root, -root @ mean]).astype(np.float32)
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _BLUR_PX)
-    distance = np.linalg.norm(cv2.transform(smooth, row), axis=2)
+    distance = np.linalg.norm(cv2.transform(smooth, affine), axis=2)
     blobs = []
     for _ in range(places):
         _, _, _, place = cv2.minMaxLoc(distance)
@@ -167,8 +167,9 @@ def _pick_blob_at(
     picture: Array, at: tuple[float, float], around: tuple[Array, Array]
 ) -> tuple[MarkerColour, float] | None:
     """The colour of the blob at `at` (u, v) px, by Fisher's linear discriminant against `around` (see `_surroundings`),
-    refined in three passes; and a score without unit that grows with its distinctness, compactness, share of all pixels
-    of this colour, and size up to 15 px. None where it does not stand out, or is no blob of a marker's size."""
+    in three passes, each from the median colour of the blob before; and a score without unit that grows with its
+    distinctness, compactness, share of all pixels of this colour, and size up to 15 px. None where it does not stand
+    out, or is no blob of a marker's size."""
     column, row = int(at[0]), int(at[1])
     close = slice(max(0, row - 2), row + 3), slice(max(0, column - 2), column + 3)
     colour = np.median(picture[close].reshape(-1, 3), axis=0)
@@ -180,7 +181,9 @@ def _pick_blob_at(
         if separation < _DISTINCT:
             return None
         weights /= separation
-        candidate = MarkerColour(_triple(weights), float(-weights @ mean), _triple(colour), SMALLEST_PX, at)
+        candidate = MarkerColour(
+            _triple(weights), offset=float(-weights @ mean), colour=_triple(colour), diameter_px=SMALLEST_PX, at=at
+        )  # its diameter is not known yet
         inside = candidate.membership(picture) > 0.5
         blob = _blob_in(inside, close)
         if blob is None:
@@ -199,7 +202,7 @@ class _Blob:
     pixels: Array  # (height, width) bool
     area: int  # px
     diameter_px: float  # of a disc of this area
-    compactness: float  # 0 to 1; 1 where the smallest square around it is filled as by 1 / 1.3 of a disc
+    compactness: float  # 0 to 1: 1.3 times its area against that of a disc as wide as it is, at most 1
     at: tuple[float, float]  # centroid (u, v) px
 
 
@@ -217,6 +220,6 @@ def _blob_in(inside: Array, window: tuple[slice, slice]) -> _Blob | None:
     if not SMALLEST_PX <= diameter <= LARGEST_PX or area > _LARGEST * inside.size:
         return None
     box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
-    compactness = min(1.0, 1.3 * area / (0.785 * box * box))  # 0.785: pi / 4
+    compactness = min(1.0, 1.3 * area / (0.785 * box * box))  # 1: an ellipse of up to 1.3 : 1; 0.785: pi / 4
     u, v = centroids[label].tolist()
-    return _Blob(labels == label, area, diameter, compactness, (u, v))
+    return _Blob(labels == label, area=area, diameter_px=diameter, compactness=compactness, at=(u, v))

@@ -70,10 +70,10 @@ class MarkerTracker:
         """colour: the marker's, as it was picked; alike: places (u, v) px of decoys, things with the marker's colour
         and size that do not move (see `alike_but_still`)."""
         self.colour = colour
-        self._same_colour_and_size = np.array(alike, dtype=float).reshape(-1, 2)
+        self._decoys = np.array(alike, dtype=float).reshape(-1, 2)  # px
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
         length = max(sqrt(sum(level * level for level in colour.colour)), 1.0)
-        self._hue = tuple(level / length for level in colour.colour)
+        self._hue = tuple(level / length for level in colour.colour)  # unit vector of B, G, R
         self._smallest_px = _SMALLER * colour.diameter_px
         self.reset()
 
@@ -106,15 +106,15 @@ class MarkerTracker:
 
     def _is_decoy(self, sighting: Sighting) -> bool:
         """Whether a sighting is at the place of a decoy (see __init__), within _SAME_PLACE of its diameter."""
-        away = np.hypot(*(self._same_colour_and_size - (sighting.u_px, sighting.v_px)).T)
+        away = np.hypot(*(self._decoys - (sighting.u_px, sighting.v_px)).T)
         return bool((away < _SAME_PLACE * sighting.diameter_px).any())
 
     def _follow(self, picture: Array, last: Sighting) -> Sighting:
-        """Looks for the marker where it should be if it moves on from its `last` sighting as before; lost where its
-        size jumps."""
+        """Looks for the marker in a BGR picture where it should be if it moves on from its `last` sighting as before;
+        lost where its size jumps."""
         speed = max(abs(self._step_px[0]), abs(self._step_px[1]))
         u, v = last.u_px + self._step_px[0], last.v_px + self._step_px[1]
-        sighting = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
+        sighting = self._measure(picture, u, v, last.diameter_px, slack=0.5 * speed)
         if sighting.valid and not self._has_its_size(sighting):
             return lost_sighting("its size jumped")
         return sighting
@@ -142,7 +142,7 @@ class MarkerTracker:
             return lost_sighting("cut off by the picture's border")
         if status != MARKER_FOUND or outline.within - outline.around < _FAINT:
             return lost_sighting("no marker of this colour")
-        (b, g, r), (own_b, own_g, own_r) = outline.colour, self._hue
+        (b, g, r), (own_b, own_g, own_r) = outline.colour, self._hue  # the cosine between them, however bright
         if b * own_b + g * own_g + r * own_r < _LIKE * sqrt(b * b + g * g + r * r):
             return lost_sighting("what is there has another colour")
         radius = 0.5 * outline.diameter
@@ -198,25 +198,27 @@ class MarkerTracker:
         smaller. An outline is cut at half the region's own level, the 90 % quantile of its membership. Each is measured
         against what was expected before the search. Where there is none, the reason is kept in _why_none."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
-        expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
+        usual_area = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2  # of the disc, px of the small picture
         blobs, before = list[_Blob](), self._expected  # which `_measure` replaces
         self._why_none = lost_sighting("no marker of this colour")
-        largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1  # 0 is what is no blob
+        # Sorted by area, all larger ones alike; +1: label 0 is what is no blob.
+        largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], usual_area))[:6] + 1
         for i in largest:
             x0, y0, width, height, area = stats[i]
-            if not _SMALLER**2 < area / expected < _LARGER**2:
+            if not _SMALLER**2 < area / usual_area < _LARGER**2:
                 continue
             u, v = (centroids[i] + 0.5) * shrink - 0.5  # whole numbers are the middles of pixels
             self._cut = max(level, float(np.percentile(y[y0 : y0 + height, x0 : x0 + width], 90))) / 2
-            diameter = self.colour.diameter_px * float(np.sqrt(area / expected))
+            diameter = self.colour.diameter_px * float(np.sqrt(area / usual_area))
             self._expected = before
-            sighting = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
+            sighting = self._measure(picture, float(u), float(v), diameter, slack=2.0 * shrink)
             if sighting.valid:  # again, now that its own level is known
                 self._expected = before
-                sighting = self._measure(picture, sighting.u_px, sighting.v_px, sighting.diameter_px, 0.0)
+                sighting = self._measure(picture, sighting.u_px, sighting.v_px, sighting.diameter_px, slack=0.0)
             if sighting.valid:
                 ratio = sighting.diameter_px / self.colour.diameter_px
-                blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut, self._expected))
+                score = min(ratio, 1.0 / ratio) * self._cut
+                blobs.append(_Blob(sighting, score=score, cut=self._cut, after=self._expected))
             else:
                 self._why_none = sighting
         self._expected = before
@@ -225,7 +227,8 @@ class MarkerTracker:
 
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     """The marker's colour from BGR pictures of one scene that were taken some time apart: of the colours that stand
-    out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. None where nothing stands
+    out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. Where it is pale against
+    `_of_median_purity`, as in glare, that one is taken if it finds the marker about as well. None where nothing stands
     out."""
     colours: list[MarkerColour] = []
     for picture in pictures[:: max(1, len(pictures) // _LOOKED_AT)][:_LOOKED_AT]:
@@ -237,10 +240,10 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     scored = [(_moving_score(colour, pictures), -k, colour) for k, colour in enumerate(colours)]
     if not scored:
         return None
-    share, _, best = max(scored, key=lambda entry: entry[:2])
+    score, _, best = max(scored, key=lambda entry: entry[:2])  # of equals the first
     usual = _of_median_purity(best, pictures)
     pale = _purity(best) < _PALE * _purity(usual)
-    return usual if pale and _moving_score(usual, pictures) >= _AS_OFTEN * share else best
+    return usual if pale and _moving_score(usual, pictures) >= _AS_OFTEN * score else best
 
 
 def _purity(colour: MarkerColour) -> float:
@@ -252,20 +255,21 @@ def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> Marker
     """Picks the marker's colour anew in every picture that shows it, and returns the one of median purity: where it was
     picked first the marker may have been pale with light. `colour` itself where no picture shows it."""
     tracker = MarkerTracker(colour)
-    usual = []
+    picked = []
     for picture in pictures:
         tracker.reset()
         seen = tracker.track(picture)
         if seen.valid:
             with suppress(TautError):
-                usual.append(pick(picture, (seen.u_px, seen.v_px)))
-    usual.sort(key=_purity)
-    return usual[len(usual) // 2] if usual else colour
+                picked.append(pick(picture, (seen.u_px, seen.v_px)))
+    picked.sort(key=_purity)
+    return picked[len(picked) // 2] if picked else colour
 
 
 def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
     """Places (u, v) px of decoys: things of the marker's colour and size that rest in BGR pictures taken some time
-    apart, while another one, the marker, moves. Empty where all of them move, or none does."""
+    apart, while another one, the marker, moves. Empty where all of them move, or none does. The place with most blobs
+    around it is a decoy's if enough pictures show it; then the next among the remaining blobs."""
     tracker = MarkerTracker(colour)
     seen = [(k, b.seen.u_px, b.seen.v_px) for k, picture in enumerate(pictures) for b in tracker.blobs(picture)]
     owner, *places_uv = np.array(seen).reshape(-1, 3).T  # owner: of which picture
@@ -273,7 +277,7 @@ def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tup
     still: list[tuple[float, float]] = []
     remaining = np.ones(len(places), dtype=bool)
     while remaining.any():
-        near = [
+        near = [  # (blobs,) bool for each place: what remains around it
             remaining & (np.hypot(*(places - place).T) < _SAME_PLACE * colour.diameter_px)
             for place in places[remaining]
         ]
@@ -295,9 +299,10 @@ def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
 
 
 def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
-    """How well `colour` finds a moving marker in the pictures, 0 to 1. 1: it is found in every picture, and where it
-    was in one picture its colour is not in the others. What does not move counts a tenth of the share of pictures in
-    which it is found; what sways by less than its size up to 0.37 of that share, from 2 px on. 0: never found."""
+    """How well `colour` finds a moving marker in the pictures, 0 to 1: 0.1 share + 0.9 max(moved, 0.3 share min(1,
+    sway / 2 px)). share: of the pictures, in which it is found; moved: likewise, but a picture counts only as far as
+    the marker's colour is not where it was in pictures in which it is elsewhere; sway: how far it moves, px, if by less
+    than its size."""
     tracker = MarkerTracker(colour)
     places = []
     for picture in pictures:
@@ -305,7 +310,7 @@ def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
         seen = tracker.track(picture)
         places.append((seen.u_px, seen.v_px))
     place = np.array(places)
-    moved = 0.0  # pictures in which it is where nothing of its colour is in others
+    moved = 0.0  # so many pictures
     for k in np.flatnonzero(np.isfinite(place[:, 0])):
         away = np.hypot(*(place - place[k]).T)
         others = np.flatnonzero(away > 1.5 * colour.diameter_px)  # NaN is not
@@ -398,7 +403,7 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
     """(n,) Which of the sightings, of n frames in order, are the marker's. Where a sighting is too far from the one
     before for the marker's speed, something else was taken for it: the track is cut there into stretches, and the chain
     of stretches with most frames along which a marker could go is kept. A sighting beside a lost frame is dropped if
-    its size differs, as it may be partly hidden."""
+    its size differs from the median of the frames around it, as it may be partly hidden."""
     valid = np.array([s.valid for s in seen])
     place = np.array([(s.u_px, s.v_px) for s in seen])
     size = np.array([s.diameter_px for s in seen])
@@ -429,33 +434,39 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
 def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[Sighting]:
     """The sightings with their correction for light from one side (lit_px), which each frame tells with noise, smoothed
     over the marker's place in the image: at one place it is the same, whichever way the marker goes. sure (n,): which
-    sightings are the marker's; the others stay as they are. The smoothing is locally linear."""
+    sightings are the marker's; the others stay as they are."""
     lit = np.array([s.lit_px for s in seen])
     at = np.flatnonzero(sure)  # also frames whose own correction is 0
     if not lit[at].any():
         return list(seen)
-    place, wide = np.array([(s.u_px, s.v_px) for s in seen])[at], float(np.median([seen[k].diameter_px for k in at]))
-    # Medians in square cells of one diameter; in each a plane through those around it, weighted by frames and nearness.
-    _, cell = np.unique(np.floor(place / wide), axis=0, return_inverse=True)
-    cells = [np.flatnonzero(cell.ravel() == k) for k in range(int(cell.max()) + 1)]
-    middle = np.array([place[own].mean(axis=0) for own in cells])
-    median = np.array([np.median(lit[at[own]], axis=0) for own in cells])
-    smooth = lit.copy()
-    for own, here in zip(cells, middle, strict=True):
-        away = (middle - here) / (_ALIKE_LIT * wide)
-        weight = np.array([len(each) for each in cells]) * np.exp(-0.5 * np.sum(away**2, axis=1))
-        rows = np.column_stack([np.ones(len(cells)), away])
-        slopes = np.diag([0.0, 1.0, 1.0])  # prior: no more than a frame's worth of them is 0
-        normal = (rows.T * weight) @ rows + slopes
-        plane = np.linalg.solve(normal, (rows.T * weight) @ median)
-        smooth[at[own]] = plane[0] + (place[own] - here) / (_ALIKE_LIT * wide) @ plane[1:]
-    change = smooth - lit
+    place = np.array([(s.u_px, s.v_px) for s in seen])[at]
+    change = np.zeros_like(lit)
+    change[at] = _smooth_over(place, lit[at], float(np.median([seen[k].diameter_px for k in at]))) - lit[at]
     return [
         replace(
             s, u_px=s.u_px + float(u), v_px=s.v_px + float(v), lit_px=(s.lit_px[0] + float(u), s.lit_px[1] + float(v))
         )
         for s, (u, v) in zip(seen, change, strict=True)
     ]
+
+
+def _smooth_over(place: Array, values: Array, diameter_px: float) -> Array:
+    """Values (n, 2) at places (n, 2) px, smoothed by a locally linear fit: (n, 2). In each square cell of one diameter
+    the values' median is taken, and a plane through the medians around it, weighted by frames and nearness."""
+    alike_px = _ALIKE_LIT * diameter_px
+    _, cell = np.unique(np.floor(place / diameter_px), axis=0, return_inverse=True)
+    cells = [np.flatnonzero(cell.ravel() == k) for k in range(int(cell.max()) + 1)]
+    middle = np.array([place[own].mean(axis=0) for own in cells])
+    median = np.array([np.median(values[own], axis=0) for own in cells])
+    smooth = np.empty_like(values)
+    for own, here in zip(cells, middle, strict=True):
+        away = (middle - here) / alike_px
+        weight = np.array([len(each) for each in cells]) * np.exp(-0.5 * np.sum(away**2, axis=1))
+        rows = np.column_stack([np.ones(len(cells)), away])
+        held = np.diag([0.0, 1.0, 1.0])  # prior: slopes are 0, by one frame's weight
+        plane = np.linalg.solve((rows.T * weight) @ rows + held, (rows.T * weight) @ median)
+        smooth[own] = plane[0] + (place[own] - here) / alike_px @ plane[1:]
+    return smooth
 
 
 def _outside_best_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], Array | float]) -> list[int]:

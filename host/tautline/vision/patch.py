@@ -122,7 +122,8 @@ class _Keyframe:
     def turned(self, turn_deg: float) -> _Keyframe:
         """The keyframe as it would look with the region turned by turn_deg about its middle."""
         pose = self.pose
-        warp = cv2.getRotationMatrix2D((pose.u - float(self.corner[0]), pose.v - float(self.corner[1])), -turn_deg, 1.0)
+        middle = (pose.u - float(self.corner[0]), pose.v - float(self.corner[1]))
+        warp = cv2.getRotationMatrix2D(middle, -turn_deg, 1.0)  # its angles are against ours, which go from u to v
         size = self.picture.shape[1], self.picture.shape[0]
         picture = cv2.warpAffine(self.picture, warp, size, borderMode=cv2.BORDER_REPLICATE)
         cos, sin = float(np.cos(np.radians(turn_deg))), float(np.sin(np.radians(turn_deg)))
@@ -248,13 +249,13 @@ class PatchTracker:
         if len(found) == 2:
             (_, i, (one, _)), (_, j, (other, _)) = found
             self._keyframes.note(i, j, np.array([one.u - other.u, one.v - other.v]))
-        pose = Pose.mean([(weight, pose) for weight, _, (pose, _) in found])
+        mean = Pose.mean([(weight, pose) for weight, _, (pose, _) in found])
         nearest = int(np.argmin(away))
         fades = away[nearest] > _LEAST and self._keyframes.keys[nearest].together < _FADES
         if self._keyframes.has_room and (away[nearest] > 1.0 or fades):
-            self._keyframes.keys.append(_Keyframe.of(light, pose, self.side_px))
+            self._keyframes.keys.append(_Keyframe.of(light, mean, self.side_px))
         total = sum(weight for weight, _, _ in found)
-        return pose, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, (_, sigma) in found)))
+        return mean, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, (_, sigma) in found)))
 
     def _search(self, light: EvenLight) -> tuple[Pose, float] | None:
         """The region's pose and its sigma, px per coordinate, anywhere in the frame: template matching of the keyframes

@@ -128,7 +128,7 @@ class SceneTracker:
         """The camera's turn (3,) rad in a grey picture by one keyframe's corners, and how many of them it is by: those
         that follow one homography (RANSAC). None where too few do. expected: (3,) rad, the turn at which the corners
         are looked for. Counts for each corner whether it went along."""
-        ahead = key.towards @ (_matrix(expected) @ _matrix(key.turn).T).T
+        ahead = key.towards @ (_matrix(expected) @ _matrix(key.turn).T).T  # (n, 3) directions of its corners, then
         if not len(ahead):
             return None
         guess, _ = cv2.projectPoints(

@@ -37,4 +37,4 @@ def check_in_picture(at: tuple[float, float], width: int, height: int) -> None:
 
 def lost(why: str) -> Sighting:
     """The sighting of a frame in which the marker was not found: every number NaN. why: the reason in words."""
-    return Sighting(np.nan, np.nan, np.nan, np.nan, why)
+    return Sighting(u_px=np.nan, v_px=np.nan, sigma_px=np.nan, diameter_px=np.nan, lost=why)
