@@ -82,12 +82,8 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
     probability counts. intervals (n - 1,): between nodes, over the usual one of readings; reading (n,): in the
     encoder's steps, where `read` (n,) is 1; order, rounded: as of `driven`."""
     size, seen = len(reading), np.flatnonzero(read)
-<<<<<<< HEAD
-    times = np.concatenate([[0.0], np.cumsum(steps)])
-    change = change_factors(order, steps)
-=======
     times = np.concatenate([[0.0], np.cumsum(intervals)])
->>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
+    change = change_factors(order, intervals)
     noise = max(white_noise(times[seen], reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
     state = np.interp(np.arange(size), seen, reading[seen])
     precision = read / (noise**2 + (spread.of_rounding(1.0) ** 2 if rounded else 0.0))
@@ -99,14 +95,8 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
         # Changes the last five in place: positions; of each reading as a Gaussian its precision and that times its
         # mean; mean squares of the changes; variance of the positions.
         holds, scatter, told = _native.sweep(
-<<<<<<< HEAD
             change, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
         )
-=======
-            order, intervals, reading, read, 0.5 if rounded else 0.0, noise, jump,
-            state, precision, force, jumped, variance,
-        )  # fmt: skip
->>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
         if not holds or not np.isfinite(told):
             break
         noise = max(scatter, _NO_NOISE)

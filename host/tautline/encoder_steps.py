@@ -145,18 +145,10 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
         away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
         gaps = np.diff(since)
         # A change that comes after a while is known to a fraction of a count.
-<<<<<<< HEAD
         sure = np.maximum(1.0, 0.5 * (np.append(gaps[0], gaps) + np.append(gaps, gaps[-1])) / period)
         _, fitted, _ = dgels(np.stack([sure, sure * since, sure * since**2]).T, away * sure)
         if float(np.sqrt(fitted[3:] @ fitted[3:] / n)) <= _FITS:
             offset, speed, bend = fitted[:3].tolist()
-=======
-        sure = np.maximum(1.0, np.gradient(since) / period)
-        powers = np.column_stack([np.ones(n), since, since**2])
-        fitted = np.linalg.lstsq(powers * sure[:, None], away * sure, rcond=None)[0]
-        if float(np.sqrt(np.mean(np.square(sure * (away - powers @ fitted))))) <= _FITS:
-            offset, speed, bend = (float(value) for value in fitted)
->>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
             has_vertex = bend > 0.0 and speed > 0.0
             left = offset - speed**2 / (4.0 * bend) if has_vertex else -np.inf  # equation: `away` at the vertex
             if abs(left) <= 1.0:

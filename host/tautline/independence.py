@@ -84,7 +84,6 @@ def expected_sums(n: int, order: int = 1) -> Array:
     """(2, memories) For n samples of first-order autoregressive noise of unit variance less their trend: the expected
     sum of squares, and the expected sum of products of neighbours, at each rho of MEMORIES."""
     trend = _orthonormal(np.arange(n, dtype=float), order)
-<<<<<<< HEAD
     both_ways = np.hstack([trend, trend[::-1]])
     sums = np.stack([first_order_sums(both_ways, rho) for rho in MEMORIES])
     covered = sums[:, :, : order + 1] + sums[:, ::-1, order + 1 :] - trend  # (memories, n, ...) covariance times trend
@@ -92,17 +91,6 @@ def expected_sums(n: int, order: int = 1) -> Array:
     neighbours = trend[:-1] * covered[:, 1:] + covered[:, :-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:]
     squares = n - np.trace(of_trend, axis1=1, axis2=2)
     return np.array([squares, (n - 1) * MEMORIES - np.sum(neighbours, axis=(1, 2))])
-=======
-    sums = []
-    for rho in MEMORIES:
-        ahead, behind = first_order_sums(trend, rho), first_order_sums(trend[::-1], rho)[::-1]
-        covered = ahead + behind - trend  # covariance times trend
-        of_trend = trend.T @ covered
-        # equation: (n - 1) rho less this is the sum of (I - P) C (I - P) beside its diagonal, P onto the trend
-        neighbours = np.sum(trend[:-1] * covered[1:] + covered[:-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:])
-        sums.append([n - np.trace(of_trend), (n - 1) * rho - neighbours])
-    return np.array(sums).T
->>>>>>> 62a014d5a0647beb9848d959a28451211e63c393
 
 
 def first_order_sums(values: Array, rho: float) -> Array:

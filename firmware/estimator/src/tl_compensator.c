@@ -34,11 +34,12 @@ static TL_FAST int32_t half_width(const tl_compensator_t *k) {
 }
 
 static TL_FAST tl_count_q8_t fed_anew(tl_compensator_t *k) {
-    k->wider = 0;
+    int32_t wider = 0;
     if (k->undoes) {
         tl_undo_weigh(&k->undo, k->lookup, k->p);
-        k->wider = half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p));
+        wider = half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p));
     }
+    k->wider = wider;
     if (k->several) {
         tl_several_hold(k);
     } else {
