@@ -314,7 +314,7 @@ def measured_rows(chip: Chip, cost: Cycles) -> list[Row]:
         Row("calibration motion, measured", worst["motion"], 2000, "cycles"),
         Row("once a millisecond beside it, measured", worst["watch"], 1300, "cycles"),
         Row("the same with several plays", worst["watch_plays"], 1800, "cycles"),
-        Row("the same with all that is undone", worst["watch_undoes"], 2400, "cycles"),
+        Row("the same with all that is undone", worst["watch_undoes"], 2500, "cycles"),
         Row("guards, once a millisecond, measured", worst["guard"], 850, "cycles"),
         Row(f"{AXES} axes, worst tick, measured", share * cost.interrupt, 25, "% of its period"),
         Row("onset update, measured", worst["onset"], 2_000_000, "cycles"),

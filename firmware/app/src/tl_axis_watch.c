@@ -88,10 +88,11 @@ TL_FAST void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
     if (axis->has_table) {
         const tl_lookup_t *lookup = &axis->tip.lookup;
         const tl_undo_t *undo = &axis->tip.compensator.undo;
-        if (lookup->table.has != 0) {
+        const bool undoes = lookup->table.has != 0;
+        if (undoes) {
             tl_axis_join(axis);
         }
-        const bool off = lookup->table.has != 0 || undo->active; // the encoder reads otherwise than the motor pushes
+        const bool off = undoes || undo->active; // the encoder reads otherwise than the motor pushes
         tl_play_step(&axis->tip.play, off ? tl_undo_pushing(undo, lookup, axis->q, PUSHING_ROUNDS) : axis->q);
     }
     tl_axis_planned_t *plan = &axis->plan;

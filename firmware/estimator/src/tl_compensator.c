@@ -33,13 +33,13 @@ static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     return half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
 }
 
+static TL_FAST int32_t wider_by(tl_compensator_t *k) {
+    tl_undo_weigh(&k->undo, k->lookup, k->p);
+    return half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p));
+}
+
 static TL_FAST tl_count_q8_t fed_anew(tl_compensator_t *k) {
-    int32_t wider = 0;
-    if (k->undoes) {
-        tl_undo_weigh(&k->undo, k->lookup, k->p);
-        wider = half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p));
-    }
-    k->wider = wider;
+    k->wider = k->undoes ? wider_by(k) : 0;
     if (k->several) {
         tl_several_hold(k);
     } else {
