@@ -141,17 +141,24 @@ def wider_by_the_square_of_speed(share: float, speeds: tuple[float, float]) -> R
     return Recording("squared", Motor(motion.t_s[::4], motion.q[::4]), None, Angle(at_s, c), rig=angle_plant.RIG)
 
 
-@pytest.mark.parametrize(
-    ("share", "speeds"), [(0.4, (6.0, 10.0)), pytest.param(0.1, (4.0, 10.0), marks=pytest.mark.long)]
-)
-def test_slower_than_what_was_seen_speed_may_follow_another_law(share: float, speeds: tuple[float, float]) -> None:
-    """A line through two speeds goes 0.5 deg too low at rest, 39 standard deviations of the line's own."""
-    model = calibrate([wider_by_the_square_of_speed(share, speeds)], angle_plant.RIG).model
-    assert [effect.id for effect in model.effects] == ["transmission.rate_dependent_backlash"]
+def test_slower_than_what_was_seen_speed_may_follow_another_law() -> None:
+    """A line through two speeds, be it of a width by speed or of drag beside friction, goes 0.08 deg too low at rest,
+    22 standard deviations of the line's own."""
+    model = calibrate([wider_by_the_square_of_speed(0.1, (4.0, 10.0))], angle_plant.RIG).model
+    assert [effect.id for effect in model.effects] in (
+        ["transmission.rate_dependent_backlash"],
+        ["transmission.lag"],
+    )
     middle = np.abs(model.q) < 20.0
     off, sigma = np.abs(model.width - 2.0)[middle], model.width_sigma[middle]
     print(f"{np.mean(off):.3f} deg off, {np.mean(off / sigma):.2f} sigma")
     assert np.mean(off) > 0.05 and np.mean(off / sigma) < 2.0
+
+
+def test_a_calibration_that_no_law_of_speed_fits_is_not_good() -> None:
+    """Two speeds of which neither a width by speed nor drag leaves noise."""
+    found = calibrate([wider_by_the_square_of_speed(0.4, (6.0, 10.0))], angle_plant.RIG)
+    assert found.model.quality.verdict != "good"
 
 
 @pytest.mark.parametrize("seed", [821, 822])

@@ -110,7 +110,9 @@ def test_a_tracker_that_errs_by_the_place_is_no_effect() -> None:
     assert document["noise_floor"] == pytest.approx(NOISE, rel=0.1)
     others = [replace(recording, video=None) for recording in made]  # another's positions may err by no tracker
     left = diagnose(model(), others[0], others[1:]).document  # as much as in the calibration, and told as a gap
-    assert left["verdict"] == "none" and left["gap"]["before"] > 1.2 * document["gap"]["before"]
+    assert left["gap"]["before"] > 1.2 * document["gap"]["before"]
+    # An image that errs by the place from the start on is one through another lens: none, or that.
+    assert {effect["id"] for effect in left["effects"]} <= {"camera.distortion"} and left["verdict"] != "unknown"
 
 
 def test_beside_such_a_tracker_an_effect_has_its_name() -> None:

@@ -43,7 +43,7 @@ from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis import start
 from tautline.effects import OWNER
-from tautline.effects.library.rate_dependent_backlash import added_width
+from tautline.effects.library.rate_dependent_backlash import added_width, width_by_drag
 from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Model
@@ -60,7 +60,7 @@ _HELD = 0.5  # prior: of the power that one element leaves beyond noise: what se
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # departures that several elements, or their number, stand for
 _GRADUAL_START = "transmission.smooth_onset"  # the effect that several elements are
-_RATE = OWNER["width_per_speed"].id
+_RATE, _LAG = OWNER["width_per_speed"].id, OWNER["lag"].id
 _SLOWEST = 0.1  # tolerance: of the frames: slower than these nothing tells the law of the speed
 _MOVES = 5.0  # tolerance: counts of the encoder: a motor that moves by less does not
 _MOST_Z2 = 9.0  # prior: mean squared z of onsets by which their variance is increased at most
@@ -246,17 +246,19 @@ class Measuring(_Setting):
         return self._measured(onsets, delay, curve, joint_fit, None, width, sigma, JOINT, remaining)
 
     def _width_extrapolated_to_rest(self, joint_fit: Fitted) -> float:
-        """How far B is extrapolated where it follows the motor's speed, unit of q: what the fitted law adds to B at the
-        slowest tenth of the moving frames that count. The tables hold B of slow strokes, and below that speed only the
-        law tells it. 0 where B follows no speed."""
+        """How far B is extrapolated where it follows the motor's speed, unit of q: what the fitted laws add to B at the
+        slowest tenth of the moving frames that count, as a width by speed or as drag beside friction. The tables hold B
+        of slow strokes, and below that speed only the law tells it. 0 where B follows no speed."""
         effects, values = joint_fit.effects_and_values
-        law = next((effect for effect in effects.to_effects(values) if effect.id == _RATE), None)
+        laws = {effect.id: effect.parameters for effect in effects.to_effects(values)}
         pairs = zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)
         speeds = np.concatenate([np.abs(s.speed[mask & s.moving]) for s, mask in pairs])
-        if law is None or not len(speeds):
-            return 0.0
-        slowest = np.quantile(speeds, [_SLOWEST])
-        return float(added_width(law.parameters, float(self.grid[-1] - self.grid[0]), slowest)[0])
+        slowest, added = np.quantile(speeds, [_SLOWEST]) if len(speeds) else np.zeros(1), np.zeros(1)
+        if _RATE in laws:
+            added = added + added_width(laws[_RATE], float(self.grid[-1] - self.grid[0]), slowest)
+        if laws.get(_LAG, {}).get("lag_held"):
+            added = added + width_by_drag(laws[_LAG], slowest)
+        return float(added[0])
 
     def _measured(
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None, joint_fit: Fitted | None,

@@ -32,6 +32,12 @@ def added_width(values: Mapping[str, float], grid: float, speed: Array) -> Array
     return np.maximum(values["width_per_speed"] * usual * share, 0.0)
 
 
+def width_by_drag(values: Mapping[str, float], speed: Array) -> Array:
+    """(n,) unit of q: by how much a tip that moves at speeds (n,), unit of q per s, is further behind one way than the
+    other by drag beside friction (transmission.lag with lag_held), as by a width that grows with speed."""
+    return np.asarray(2.0 * values["lag"] * (1.0 - values.get("lag_second", 0.0)) * speed)
+
+
 EFFECTS = (
     Kind(
         "transmission.rate_dependent_backlash",
