@@ -89,7 +89,7 @@ REASONS = (
     Reason("tl_undo.c", "const int32_t moves = tl_clamp(carried", 2, "axes within 65 000 counts"),
     Reason("tl_undo.c", "undo->before = tl_clamp(before", 2, "axes that move the motor by less than 65 000 counts"),
     Reason("tl_undo.c", "const int32_t more = tl_clamp(undo->caught", 1, "no side falls by 64 counts in a millisecond"),
-    Reason("tl_undo.c", "const int32_t grown_q12 = tl_clamp(", 2, "B changes by less than that in a millisecond"),
+    Reason("tl_undo.c", "const int32_t grown_q12 = tl_clamp(", 1, "B changes by less than that in a millisecond"),
     Reason("tl_undo.c", "undo->turned_at = tl_clamp(", 2, "it stays near p"),
     Reason("tl_undo.c", "return tl_clamp((int32_t)sum", 2, "a lead is at most 2^28"),
     Reason("tl_undo.c", "const int32_t most = f->most, rest", 1, "the copy for a short one: seldom beyond it"),

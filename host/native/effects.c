@@ -428,7 +428,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     const struct play_table *table = &tables->elements->table;
     size_t c_at = 0, width_at = 0;
     const double mean_width = play_mean_width(table);
-    const double relative = all.count > 0 && mean_width > 0.0 ? 1.0 / mean_width : 0.0; // without effects nobody asks
+    const double per_mean = all.count > 0 && mean_width > 0.0 ? 1.0 / mean_width : 0.0; // without effects nobody asks
     const double usual_speed = 0.1 * (table->grid[table->n - 1] - table->grid[0]);
     const double c_middle = tables->c_deg[table->n / 2];
     const double c_slope = (tables->c_deg[table->n - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
@@ -457,7 +457,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             .translation = at(motion, knot, at_knot, t, motion->translation),
             .rotation = at(motion, knot, at_knot, t, motion->rotation),
             .usual_speed = usual_speed,
-            .wide = relative > 0.0 ? play_width(table, started ? centre : rest, &width_at) * relative : 1.0,
+            .wide = per_mean > 0.0 ? play_width(table, started ? centre : rest, &width_at) * per_mean : 1.0,
             .slope = c_slope,
             .first = !started,
             .at_knot = at_knot,

@@ -11,7 +11,7 @@ extern "C" {
 // NAME(unit, meaning). Zero means absent. Turns are rotation vectors.
 #define PROJECTION_PARAMETERS(X)                                                                                       \
     X(curvature_gradient, "", "kinematics.nonconstant_curvature: curvature from (1 - g) at the base to (1 + g)")       \
-    X(tilt_x, "deg", "registration.direction_dependent: turn times `way`")                                             \
+    X(tilt_x, "deg", "registration.direction_dependent: turn at one side of the channel, less it at the other")        \
     X(tilt_y, "deg", "registration.direction_dependent")                                                               \
     X(tilt_z, "deg", "registration.direction_dependent")                                                               \
     X(tilt_pivot, "mm", "registration.direction_dependent: where on the base's z axis it turns")                       \

@@ -14,7 +14,7 @@ from tautline import _native
 from tautline.effects.library.rate_dependent_backlash import added_width, follows_s
 from tautline.elements import Elements, Hysteresis
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.nearest import Nearest, fewer, nearest_plays
 
 Array = npt.NDArray[np.float64]
@@ -223,11 +223,10 @@ def _joints_sections(v: Mapping[str, Any], model: Model, joints: Mapping[str, Jo
     """Section `joints`: the columns that couple in whose axis is known: axis + 1 (0: none), its backlash in Q8 counts,
     and deg per count in Q28. Where they move the motor before the play these are 0, and section `before` has counts of
     the motor per count in Q20 instead. {} where no axis is known."""
-    columns = {
-        "c_per_translation": "translation_mm",
-        "c_per_rotation": "rotation_deg",
-        "c_per_joint": str(v.get("column")),
-    }
+    from tautline.effects import kind_of
+
+    kind = kind_of(Effect(COUPLED, dict(v)))
+    columns = {p.name: p.follows or kind.column for p in kind.amplitudes}
     known = [(joints[of], name) for name, of in columns.items() if v.get(name) and of in joints]
     if not known:
         return {}

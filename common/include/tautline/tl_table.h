@@ -216,8 +216,8 @@ enum { TL_TABLE_SECTIONS(TL_TABLE_NUMBER) };
     X(PRESSED,                                                                                                         \
       "what goes with the place as the width does: shares of 0 to 2 of what the table adds, within its range, and no " \
       "width above 8 times its mean")                                                                                  \
-    X(BEFORE, "what moves the motor before the play is another axis that the table names, and moves not the angle, "   \
-              "too")
+    X(BEFORE, "an axis that moves the motor before the play has to be one that the table names, and must not move "    \
+              "the angle as well")
 
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
 typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;

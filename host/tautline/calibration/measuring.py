@@ -43,7 +43,8 @@ from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis import start
 from tautline.effects import OWNER
-from tautline.effects.library.rate_dependent_backlash import added_width, width_by_drag
+from tautline.effects.library.lag import width_by_drag
+from tautline.effects.library.rate_dependent_backlash import added_width
 from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Model

@@ -26,8 +26,7 @@
 /// Faults: none is fatal. Every input is valid; what could not be done is in `flags`.
 ///
 /// A step: at most about 930 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; with
-/// seven plays the second is 560 and the third 800; all sections add up to 1200, 560 of them before
-/// and 320 behind. No
+/// seven plays the second is 560 and the third 800; all sections add up to 1200, 560 of them before and 320 behind. No
 /// division, no 64-bit product, 64-bit sums only. Memory: 488 bytes, plus the table that it points to.
 #ifndef TAUTLINE_TL_COMPENSATOR_H
 #define TAUTLINE_TL_COMPENSATOR_H

@@ -1,7 +1,8 @@
 """Another degree of freedom, or another joint of the robot, that moves the bending angle through its own backlash."""
 
-from tautline.effects.kind import Kind, Parameter
+from tautline.effects.kind import FREEDOMS, Kind, Parameter
 
+_TRANSLATION, _ROTATION = FREEDOMS
 _BEFORE = Parameter("coupled_before", "", 1.0, (0.0, 1.0), searched=True)
 _ID, _SAYS = "configuration.axis_coupling", "another degree of freedom moves the bending angle"
 
@@ -24,12 +25,12 @@ EFFECTS = (
     Kind(
         _ID,
         (
-            Parameter("c_per_translation", "deg/mm", 0.2, follows="translation_mm"),
-            Parameter("c_per_rotation", "deg/deg", 0.02, follows="rotation_deg"),
+            Parameter("c_per_translation", "deg/mm", 0.2, follows=_TRANSLATION),
+            Parameter("c_per_rotation", "deg/deg", 0.02, follows=_ROTATION),
         ),
-        (
-            Parameter("translation_play", "mm", 1.0, (0.0, 4.0), low=0.0, follows="translation_mm"),
-            Parameter("rotation_play", "deg", 5.0, (0.0, 20.0), low=0.0, follows="rotation_deg"),
+        (  # prior: an instrument slips in its drive and its channel by some mm and some ten deg
+            Parameter("translation_play", "mm", 1.0, (0.0, 4.0), low=0.0, follows=_TRANSLATION),
+            Parameter("rotation_play", "deg", 5.0, (0.0, 20.0), low=0.0, follows=_ROTATION),
             _BEFORE,
         ),
         says=_SAYS,

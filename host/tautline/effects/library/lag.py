@@ -1,4 +1,20 @@
+"""A tip that is late, behind what friction holds or by drag beside friction."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
 from tautline.effects.kind import Kind, Parameter
+
+Array = npt.NDArray[np.float64]
+
+
+def width_by_drag(values: Mapping[str, float], speed: Array) -> Array:
+    """(n,) unit of q: by how much a tip that moves at speeds (n,), unit of q per s, is further behind one way than the
+    other by drag beside friction (lag_held), as by a width that grows with speed."""
+    return np.asarray(2.0 * values["lag"] * (1.0 - values.get("lag_second", 0.0)) * speed)
+
 
 EFFECTS = (
     Kind(

@@ -10,7 +10,8 @@ from tautline.effects.kind import Kind, Parameter
 Array = npt.NDArray[np.float64]
 
 _USUAL = 0.1  # format: of the tables' grid, a second
-_MOST = 3.0  # limit: of speed_saturation: beyond it is as wide at any speed
+# limits of speed_saturation: below it grows by as much with each of three decades of speed; above it is as wide at any
+_LEAST, _MOST = -7.0, 3.0
 _FOLLOWS_S = 0.02  # format: what speed_time is where a model has none, as in the C
 
 
@@ -32,18 +33,12 @@ def added_width(values: Mapping[str, float], grid: float, speed: Array) -> Array
     return np.maximum(values["width_per_speed"] * usual * share, 0.0)
 
 
-def width_by_drag(values: Mapping[str, float], speed: Array) -> Array:
-    """(n,) unit of q: by how much a tip that moves at speeds (n,), unit of q per s, is further behind one way than the
-    other by drag beside friction (transmission.lag with lag_held), as by a width that grows with speed."""
-    return np.asarray(2.0 * values["lag"] * (1.0 - values.get("lag_second", 0.0)) * speed)
-
-
 EFFECTS = (
     Kind(
         "transmission.rate_dependent_backlash",
         (Parameter("width_per_speed", "s", 0.02, low=0.0),),
         (
-            Parameter("speed_saturation", "", 0.5, (0.0, 2.0, -4.0), low=-7.0, high=_MOST),
+            Parameter("speed_saturation", "", 0.5, (0.0, 2.0, -4.0), low=_LEAST, high=_MOST),
             Parameter("speed_time", "s", _FOLLOWS_S, (_FOLLOWS_S, 0.2), low=2e-3, high=1.0),
             Parameter("width_held", "", 1.0, (0.0, 1.0), searched=True),
             Parameter("speed_pressed", "", 0.5, (0.5,), low=0.0, high=2.0),
