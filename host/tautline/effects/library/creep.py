@@ -12,6 +12,7 @@ EFFECTS = (
         says="the tip goes on moving after the motor stops",
         material=True,
         contains=("transmission.lag",),
+        brings=("configuration.remaining",),
         undone=True,
         tell="After the motor stops the tip goes on for seconds, or back where a tendon stretches under its load, and "
         "the gap shrinks while it rests; a lag is over in a fraction of a second.",

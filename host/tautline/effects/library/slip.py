@@ -28,5 +28,6 @@ EFFECTS = (
         holds=_with_slips,
         scan="moment",
         law=True,
+        brings=("transmission.offset",),  # it may slip between recordings as well
     ),
 )
