@@ -12,7 +12,7 @@ from tools.family_four.cases import Case, healthy_rest, measure, strength
 from tools.family_four.plant import Plant, carried, logged, rest, show
 from tools.family_three import camera
 from tools.family_three import cases as third
-from tools.family_three.cases import ATTEMPTS, FAINTEST, SHARES
+from tools.family_three.cases import FAINTEST, SHARES
 from tools.family_three.line import Line, Path, lay
 from tools.family_two.motion import STEP
 
@@ -23,8 +23,9 @@ MECHANISMS: dict[str, type[Mechanism]] = {
         mechanisms.Coupling,
     )
 }  # fmt: skip
+ATTEMPTS = 8
 EARLY = 0.45  # of the causes that can have been there while calibrating; some turn out too weak for it
-LATE_FROM = 4  # of the attempts: from then on causes are there since the tests
+LATE_FROM = 5  # of the attempts: from then on causes are there since the tests
 SEEN_EARLY = 2.0  # times the noise: what a refit to the calibration leaves of a cause that is there from the start
 
 
@@ -45,10 +46,11 @@ def draw(seed: int, index: int, kind: str, ids: tuple[str, ...]) -> Case:
         if not plain and attempt < ATTEMPTS - 1:
             continue
         case = four._set(case, np.random.default_rng([seed, 503, index, attempt]), base)
-        sound = plain and four._in_sight(case) and seen_early(case)
+        fault = 0.0 if plain and four._in_sight(case) else 100.0
+        fault += 0.0 if seen_early(case) else 1000.0
         weakest = min((strength(c, s) for c, s in zip(case.causes, case.strengths, strict=True)), default=FAINTEST)
-        tried.append((min(weakest, FAINTEST) - (0.0 if sound else 100.0), case))
-        if sound and weakest >= FAINTEST:
+        tried.append((min(weakest, FAINTEST) - fault, case))
+        if not fault and weakest >= FAINTEST:
             break
     return max(tried, key=lambda x: x[0])[1]
 

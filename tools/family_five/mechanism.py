@@ -99,7 +99,11 @@ class Mechanism:
         up, down = up - self.zero, down - self.zero
         mean, apart = 0.5 * (up + down), up - down
         ends = np.interp([-self.limit, self.limit], self.xs, mean)
-        self.reach, self.width, self.width_deg = 0.5 * float(ends[1] - ends[0]), float(np.interp(0, self.xs, apart)), 0.0
+        self.reach, self.width, self.width_deg = (
+            0.5 * float(ends[1] - ends[0]),
+            float(np.interp(0, self.xs, apart)),
+            0.0,
+        )
         self.width_deg = width_deg
         rising = np.all(np.diff(up) > 0) and np.all(np.diff(down) > 0) and np.all(apart > 0)
         if not rising or min(-down[0], up[-1]) < 1.1 * self.reach or max(down[0], -up[-1]) > -1.1 * self.reach:

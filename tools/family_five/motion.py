@@ -1,4 +1,4 @@
-"""The motor's motions: one for calibrating and seven kinds for tests, inside +-0.97 of the reach."""
+"""The motor's motions: one for calibrating and six kinds for tests, inside +-0.97 of the reach."""
 
 import numpy as np
 
@@ -71,7 +71,10 @@ def pilgrim(rng: np.random.Generator, reach: float, width: float, seconds: float
         on, pace = float(rng.uniform(0.5, 1.0)) * max(reach, 1.2 * width), float(rng.uniform(0.6, 1.1)) * reach
         to = float(np.clip(here + way * on, -EDGE * reach, EDGE * reach))
         back = to - way * float(rng.uniform(0.45, 0.75)) * on
-        moves += [(to, abs(to - here) / pace + 0.1, 0.1), (back, abs(back - to) / pace + 0.1, float(rng.uniform(0, 0.5)))]
+        moves += [
+            (to, abs(to - here) / pace + 0.1, 0.1),
+            (back, abs(back - to) / pace + 0.1, float(rng.uniform(0, 0.5))),
+        ]
         here, spent = back, spent + moves[-2][1] + moves[-1][1] + 0.4
         if way * to > 0.9 * reach:
             way = -way
@@ -121,25 +124,6 @@ def levy_flight(rng: np.random.Generator, reach: float, width: float, seconds: f
     return _run(0.0, moves, seconds, True)
 
 
-def visual_servo(rng: np.random.Generator, reach: float, width: float, seconds: float) -> FloatArray:
-    """A vision loop closes in on targets: its speed falls with what is left, within a limit, no rest at the end."""
-    out, here, spent = [np.zeros(1)], 0.0, 0.0
-    while spent < seconds:
-        to = -np.sign(here or float(rng.choice([-1, 1]))) * float(rng.uniform(0.2, 0.95)) * reach
-        pull, most, time = float(rng.uniform(1.5, 4.0)), float(rng.uniform(0.7, 1.3)) * reach, float(rng.uniform(1.6, 4.0))
-        place, speed, piece = here, 0.0, []
-        for _ in range(round(time / STEP)):
-            asked = float(np.clip(pull * (to - place), -most, most))
-            speed += (asked - speed) * STEP / 0.08
-            place += speed * STEP
-            piece.append(place)
-        out.append(np.array(piece))
-        here, spent = place, spent + time
-    return np.clip(np.concatenate(out)[: round(seconds / STEP) + 1], -EDGE * reach, EDGE * reach)
-
-
-MOTIONS: dict[str, Motion] = {
-    f.__name__: f for f in (aprbs, sine_bursts, pilgrim, handwriting, gating, levy_flight, visual_servo)
-}
+MOTIONS: dict[str, Motion] = {f.__name__: f for f in (aprbs, sine_bursts, pilgrim, handwriting, gating, levy_flight)}
 
 __all__ = ["MOTIONS", "calibration", "load", "other_joint"]

@@ -11,7 +11,9 @@ CROSSES = "Seherr-Thoss, Schmelz, Aucktor 2006, Universal Joints: crosses lose 0
 WALL = "Furlani 2001; makers of magnetic couplings: lag of degrees at the pull-out's tenth; widths " + MADE
 SPEED = "Current and speed limits of servo drives: 0.3 to 1 of the speed asked for"
 DROPOUT = "Undervoltage and safe-torque-off of drives: 0.2 to 2 s (IEC 61800-5-2); share lost " + MADE
-COMPENSATED = "Backlash parameters left on in motion controllers (LinuxCNC, Beckhoff): to the width; ramps of 0.2 to 1 s"
+COMPENSATED = (
+    "Backlash parameters left on in motion controllers (LinuxCNC, Beckhoff): to the width; ramps of 0.2 to 1 s"
+)
 SHAPED = "Zero-vibration shapers (Singer and Seering 1990) of 1 to 5 Hz: half the move 0.1 to 0.5 s later"
 PAYNE = "Payne 1962; Lion and Kardelky 2004: filled rubber softens by 5 to 60 % with amplitude, recovers in seconds"
 STARVED = "Fretting and starved grease (Lugt 2009): friction of short strokes 1.1 to 3 times; lengths " + MADE

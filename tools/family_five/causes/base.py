@@ -39,7 +39,7 @@ def pulses(line: Line, times: list[float], sizes: FloatArray, shape: FloatArray)
     """A shape (on the grid's steps) that begins at each time."""
     out = np.zeros(line.t.size)
     for time, size in zip(times, sizes.tolist(), strict=False):
-        first = round(time / STEP)
+        first = min(round(time / STEP), out.size)
         piece = shape[: out.size - first]
         out[first : first + piece.size] += size * piece
     return out

@@ -3,9 +3,7 @@
 import numpy as np
 
 from tools.family import ranges as first
-from tools.family_five.causes.base import (
-    Ask, Cause, FloatArray, Line, Mechanism, follow, play, swings, tested,
-)  # fmt: skip
+from tools.family_five.causes.base import Ask, Cause, FloatArray, Line, Mechanism, follow, play, swings, tested
 from tools.family_four.causes.drive import FULL_LOAD, STROKES
 
 
@@ -175,7 +173,7 @@ class Contact(Cause):
         gives = np.interp(0.0, m.xs, out - up) / 0.1 / m.limit  # of the drive by the spring's stiffness
         a.tissue = self.size / (1.0 - self.size) / (line.gain * gives) * self.on(line)
         a.tissue_at, a.tissue_side = float(rng.uniform(0.1, 0.55)) * m.limit, float(rng.choice([-1, 1]))
-        a.tissue_hardens = float(rng.uniform(0.5, 3.0)) / m.limit
+        a.tissue_hardens = float(rng.uniform(0.3, 1.5)) / m.limit
 
 
 class Swing(Cause):

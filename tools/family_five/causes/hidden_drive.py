@@ -5,9 +5,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from tools.family_five import ranges
-from tools.family_five.causes.base import (
-    STEP, Ask, Cause, FloatArray, Line, Mechanism, events, follow, moving, pulses,
-)  # fmt: skip
+from tools.family_five.causes.base import STEP, Ask, Cause, FloatArray, Line, Mechanism, events, follow, moving, pulses
 
 
 class Hidden(Cause):
@@ -140,7 +138,7 @@ class FlippedBits(Hidden):
         wrong = pulses(line, times, np.ones(len(times)), np.ones(int(rng.integers(5, 20)))) > 0
         bit = 2 * self.size * line.reach
         odd = np.floor((q + line.reach) / bit) % 2 == 1
-        return np.where(wrong, np.clip(q + np.where(odd, -bit, bit), -line.reach, line.reach), q)
+        return np.where(wrong, np.clip(q + np.where(odd, -bit, bit), -0.999 * line.reach, 0.999 * line.reach), q)
 
 
 class ZeroPhaseLog(Hidden):

@@ -3,9 +3,7 @@
 import numpy as np
 
 from tools.family_five import ranges
-from tools.family_five.causes.base import (
-    STEP, FloatArray, Line, Part, Picks, Scene, View, axis, events, pulses, side,
-)  # fmt: skip
+from tools.family_five.causes.base import STEP, FloatArray, Line, Part, Picks, Scene, View, axis, events, pulses, side
 from tools.family_five.causes.hidden_drive import Hidden
 from tools.family_three import camera
 

@@ -3,9 +3,7 @@
 import numpy as np
 
 from tools.family import ranges as first
-from tools.family_five.causes.base import (
-    Cause, FloatArray, Line, Part, Picks, Scene, axis, rising, side, tested,
-)  # fmt: skip
+from tools.family_five.causes.base import Cause, FloatArray, Line, Part, Picks, Scene, axis, rising, side, tested
 
 
 class NonconstantCurvature(Cause):
