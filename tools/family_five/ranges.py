@@ -12,7 +12,7 @@ WALL = "Furlani 2001; makers of magnetic couplings: lag of degrees at the pull-o
 SPEED = "Current and speed limits of servo drives: 0.3 to 1 of the speed asked for"
 DROPOUT = "Undervoltage and safe-torque-off of drives: 0.2 to 2 s (IEC 61800-5-2); share lost " + MADE
 COMPENSATED = (
-    "Backlash parameters left on in motion controllers (LinuxCNC, Beckhoff): to the width; ramps of 0.2 to 1 s"
+    "Backlash parameters left on in motion controllers (LinuxCNC, Beckhoff): to the width; ramps of 0.4 to 1.5 s made"
 )
 SHAPED = "Zero-vibration shapers (Singer and Seering 1990) of 1 to 5 Hz: half the move 0.1 to 0.5 s later"
 PAYNE = "Payne 1962; Lion and Kardelky 2004: filled rubber softens by 5 to 60 % with amplitude, recovers in seconds"

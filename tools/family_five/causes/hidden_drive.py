@@ -45,7 +45,7 @@ class HiddenCompensation(Hidden):
     limits = ranges.TAKE_UP
 
     def ask(self, line: Line, m: Mechanism, a: Ask) -> None:
-        ramp = float(self.rng().uniform(0.2, 1.0))
+        ramp = float(self.rng().uniform(0.4, 1.5))
         speed = np.where(np.abs(line.speed) > 1e-3 * line.usual_speed, line.speed, 0.0)
         last = np.maximum.accumulate(np.where(speed != 0, np.arange(speed.size), 0))
         n = round(ramp / STEP)
@@ -72,7 +72,7 @@ class PayneSoftening(Hidden):
         grown = line.t / float(self.rng().uniform(3.0, 10.0))
         swung = np.abs(c - follow(c, 3.0)) / (line.gain * line.reach)
         lately = np.maximum.accumulate(swung * np.exp(grown)) * np.exp(-grown)
-        return np.asarray(c * (1 - self.size * self.on(line) * lately / (lately + 0.4)))
+        return np.asarray(c * (1 - self.size * self.on(line) * (lately / (lately + 0.4) - 0.5)))
 
 
 class StarvedStrokes(Hidden):
@@ -123,7 +123,7 @@ class PlannerLead(Hidden):
     limits = ranges.AHEAD
 
     def log(self, line: Line, q: FloatArray) -> FloatArray:
-        filled = follow(moving(line), float(self.rng().uniform(0.3, 1.2)))
+        filled = follow(moving(line), float(self.rng().uniform(1.0, 4.0)))
         return line.at(q, line.t + self.size * self.on(line) * filled)
 
 
