@@ -72,7 +72,7 @@ class Mechanism:
             self.xs = np.linspace(-BEYOND, BEYOND, 1401) * self.limit
             if self._settle(self.widths.draw(rng)):
                 break
-        self.turn = 2 * self.reach / float(rng.uniform(3.0, 11.0))
+        self.turn = 2 * self.reach / float(rng.uniform(2.5, 7.0))
 
     def shape(self, rng: np.random.Generator) -> None:
         """Draws dimensions and the limit."""
@@ -90,23 +90,16 @@ class Mechanism:
         def wide(f: float) -> float:
             return float(self.raw(0.0, f, 0.0, 0.0) - self.raw(0.0, -f, 0.0, 0.0)) / per_deg - width_deg
 
-        with np.errstate(invalid="ignore"):
-            if not (per_deg > 0 and wide(self.most_friction) > 0):
-                return False
-            self.f = float(brentq(wide, 0.0, self.most_friction))
-            up, down = self.need(self.xs, 1.0), self.need(self.xs, -1.0)
+        if not (per_deg > 0 and wide(self.most_friction) > 0):
+            return False
+        self.f, self.width_deg = float(brentq(wide, 0.0, self.most_friction)), width_deg
         self.zero = 0.5 * float(self.need(0.0, 1.0) + self.need(0.0, -1.0))
-        up, down = up - self.zero, down - self.zero
+        up, down = self.need(self.xs, 1.0), self.need(self.xs, -1.0)
         mean, apart = 0.5 * (up + down), up - down
-        ends = np.interp([-self.limit, self.limit], self.xs, mean)
-        self.reach, self.width, self.width_deg = (
-            0.5 * float(ends[1] - ends[0]),
-            float(np.interp(0, self.xs, apart)),
-            0.0,
-        )
-        self.width_deg = width_deg
+        low, high = np.interp([-self.limit, self.limit], self.xs, mean).tolist()
+        self.reach, self.width = 0.5 * (high - low), float(np.interp(0, self.xs, apart))
         rising = np.all(np.diff(up) > 0) and np.all(np.diff(down) > 0) and np.all(apart > 0)
-        if not rising or min(-down[0], up[-1]) < 1.1 * self.reach or max(down[0], -up[-1]) > -1.1 * self.reach:
+        if not rising or max(up[0], -down[-1]) > -1.05 * self.reach:
             return False
         place, inside = mean / self.reach, np.abs(mean) < 1.05 * self.reach
         law = chebyshev.chebfit(place[inside], self.xs[inside], LAW_DEGREE)

@@ -59,7 +59,7 @@ class Drawer(Mechanism):
 
     def raw(self, x: Values, f: Values, pull: Values, law: Values) -> Any:
         u = np.asarray(x) / self.limit
-        binds = 2 * f * self.off / (1 + self.engages * u)
+        binds = np.minimum(2 * f * self.off / (1 + self.engages * u), 0.8)  # short of jamming
         force = (self.pre + _torque(self, u, pull) + f * self.seal) / (1 - binds)
         bend = 0.5 * np.radians(self.limit)
         way = np.sin(bend * u) / np.sin(bend)
@@ -92,7 +92,7 @@ class Meniscus(Mechanism):
         h = np.sin(np.radians(x)) / np.sin(np.radians(self.limit)) * (1 + law)
         r = 1 + self.cone * h + self.bulge * h * h
         below = np.polynomial.Polynomial([1.0, self.cone, self.bulge]) ** 2
-        cos = self.wets - f
+        cos = np.clip(self.wets - f, -0.98, 0.98)
         k = cos / (1 + np.sqrt(1 - cos * cos))
         capped = self.bore * r**3 * k * (3 + k * k) / 6
         pressed = 0.5 * h + 0.5 * _torque(self, u, pull) - self.laplace * cos / r

@@ -76,13 +76,12 @@ class Distortion(Cause):
 
 class Delay(Cause):
     id = "acquisition.delay"
-    says = "frames come later, or sooner, than they did"
+    says = "frames come later than they did"
     limits = first.DELAY
     moves, may_start = True, False
 
     def stamps(self, line: Line, part: Part, arrival: FloatArray) -> FloatArray:
-        late = self.size * float(self.rng().choice([-0.4, 1.0, 1.0]))
-        return arrival + late if self.there(line, part) else arrival
+        return arrival + self.size if self.there(line, part) else arrival
 
 
 class Jitter(Cause):
