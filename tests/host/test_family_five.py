@@ -165,6 +165,16 @@ def test_every_cause_changes_something_only_when_it_is_there(name, watched):
     assert np.all(np.isfinite(bent[1].values)) and all(v == v for v in cause.parameters(line).values())
 
 
+def test_effects_act_together(watched):
+    plant, line = watched
+    kinds = [LISTED[f"transmission.{n}"] for n in ("smooth_onset", "lag", "load_dependence", "rate_dependent_backlash")]
+    causes = [k(k.limits.hi, "test", 12) for k in kinds]
+    both = show(plant, line, causes)[1].values
+    for i in range(len(causes)):
+        without = show(plant, line, causes[:i] + causes[i + 1 :])[1].values
+        assert np.max(np.abs(both - without)) > 0.3
+
+
 def test_what_logs_and_recorders_do(watched):
     plant, line = watched
     ahead = logged(line, (UNLISTED["planner_lead"](0.3, "start", 1),))

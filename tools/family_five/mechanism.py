@@ -133,14 +133,12 @@ class Mechanism:
             ask.rub = ask.rub * (1 + self.weak * slow)
         low, high = self.inverted(ask, 1.0), self.inverted(ask, -1.0)
         start = 0.5 * float(low[0] + high[0])
-        if ask.resisted:
-            return resisted(low, high, start, ask)
-        if ask.spread is None:
-            return np.asarray(play(low, high, start))
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        share = -np.log1p(-(np.arange(CONTACTS) + 0.5) / CONTACTS)
-        ways = [1 + ask.spread * (s - 1) for s in share / share.mean()]
-        return np.asarray(np.mean([play(middle - half * w, middle + half * w, start) for w in ways], axis=0))
+        if ask.spread is not None:
+            middle, half = 0.5 * (low + high), 0.5 * (high - low)
+            share = -np.log1p(-(np.arange(CONTACTS) + 0.5) / CONTACTS)
+            ways = [half * (1 + ask.spread * (s - 1)) for s in share / share.mean()]
+            low = high = np.asarray(np.mean([play(middle - w, middle + w, start) for w in ways], axis=0))
+        return resisted(low, high, start, ask) if ask.resisted else np.asarray(play(low, high, start))
 
     def pressed(self, ask: Ask, x: FloatArray) -> Values:
         """Torque beside the spring: what is hung on, and tissue that stiffens exponentially (Fung)."""
