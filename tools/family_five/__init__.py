@@ -1,0 +1,1 @@
+"""The fifth sealed family of cases: see BRIEF.md."""
