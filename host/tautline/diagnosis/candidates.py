@@ -311,11 +311,12 @@ class Search:
     def with_nominal_parts(self) -> list[Candidate]:
         """A fit of each effect that, coming after the calibration, also changes parts of the nominal model
         (`Kind.brings`: friction widens the backlash), together with these parts. It starts with amplitudes that a user
-        would notice (`Fitter.scale`), the first of its shapes to try, and the parts unchanged."""
+        would notice (`Fitter.scale`), the first of its shapes to try, and the parts unchanged. Not of what happens at a
+        moment, which is looked for first."""
         candidates = []
         for kind in self.kinds:
             parts = [part for part in self.kinds if part.id in kind.brings]
-            if not parts:
+            if not parts or kind.scan == "moment":
                 continue
             self._progress(f"fitting {kind.id} with what it brings")
             hypothesis = self.base.fit.hypothesis

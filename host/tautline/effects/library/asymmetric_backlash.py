@@ -12,6 +12,7 @@ EFFECTS = (
         ),
         says="after turning one way the tip starts late and catches up",
         material=True,
+        brings=("transmission.backlash",),  # what holds the tip on one side widens the play too
         undone=True,
         tell="Reversals one way show their onset later than those the other way, then the tip catches up; a B(q) that "
         "is only wide does the same to both.",
