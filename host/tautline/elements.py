@@ -197,11 +197,11 @@ class _Periods:
         return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
 
     def up(self, u: npt.ArrayLike) -> Array:
-        """T: where u = p - B(p)/2, unit of q, is p + B(p)/2: a period further."""
+        """Maps u = p - B(p)/2 to p + B(p)/2, unit of q: the map T, one period further."""
         return _interpolated(u, self.left, self.right)
 
     def down(self, u: npt.ArrayLike) -> Array:
-        """T's inverse: where u = p + B(p)/2, unit of q, is p - B(p)/2: a period back."""
+        """Maps u = p + B(p)/2 to p - B(p)/2, unit of q: the inverse of T, one period back."""
         return _interpolated(u, self.right, self.left)
 
     def into_period(self, u: Array, first: float, last: float) -> Array:

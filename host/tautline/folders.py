@@ -24,7 +24,8 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """TautError where no file or folder can be written at `path`, or where its links lead."""
+    """TautError where no file or folder can be written at `path`, or where its links lead. Tries it: makes a temporary
+    folder beside it and removes it."""
     try:
         if is_stream(path):
             return
@@ -32,7 +33,9 @@ def check_writable(path: Path) -> None:
         if os.path.ismount(place):
             raise TautError(f"{path}: is a mount point, whose place nothing can take: name a folder in it")
         there = next(each for each in place.parents if each.exists())
-        with tempfile.TemporaryDirectory(".old", f".{place.name}.", there):  # as long as the names that are written
+        with tempfile.TemporaryDirectory(
+            ".old", f".{place.name}.", there
+        ):  # with a name as long as those to be written
             pass
     except OSError as error:
         raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another place") from error
@@ -109,9 +112,9 @@ def write_file(path: Path, text: str) -> None:
 
 
 def _not_written(place: Path, kind: str, error: OSError, *others: Path) -> TautError:
-    """The error to raise where the system refused something while `place` was written, a "file" or a "folder" by
-    `kind`. It names `place` if what was refused is in it, holds it, or is one of `others`, which are temporary; else
-    the file that was refused, such as one that could not be read to be copied."""
+    """The error to raise where the system refused something while `place` was written. It names `place` if the path
+    that was refused lies in it, above it or in one of `others`, the temporary paths; else it has the system's message,
+    as for a file that could not be read to be copied. kind: "file" or "folder", which `place` is."""
     refused = Path(error.filename).resolve() if isinstance(error.filename, str) else None
     own = [each.resolve() for each in (place, *others)]
     if refused is None or any(refused.is_relative_to(each) or each.is_relative_to(refused) for each in own):

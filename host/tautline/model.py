@@ -65,7 +65,7 @@ class Deviation:
 
     @classmethod
     def of(cls, model: Model) -> Self:
-        """The tables, delay and effects of `model`, in which the unknowns are off."""
+        """Takes the tables, delay and effects of a model whose unknowns have been moved off its best ones."""
         return cls(model.width, model.c_deg, model.delay_s, model.effects)
 
     def to_json(self) -> dict[str, Any]:

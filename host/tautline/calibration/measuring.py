@@ -355,8 +355,8 @@ class Measuring(_Setting):
         return onsets, fit_widths(onsets, self.grid)
 
     def _onsets_at(self, delay: Delay, first: Delay, onsets: list[Onset]) -> tuple[list[Onset], WidthCurve | None]:
-        """Onsets and their curve at the joint fit's delay, given those at the first one: found anew where the delay
-        changed by more than _LATER of a frame's period, else moved."""
+        """Onsets and the curve of B through them at the joint fit's `delay`. `onsets` were found at the delay `first`:
+        they are found anew where the two differ by more than _LATER of a frame's period, else moved."""
         later_s = delay.delay_s - first.delay_s
         if abs(later_s) > _LATER * period_s(self.tracks):
             return self._onsets(delay)

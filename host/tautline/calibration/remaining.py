@@ -188,11 +188,12 @@ def _moved_by(fitted: Fitted, errors: Sequence[Array]) -> Array:
 
 
 def _beside_the_path_px(fitted: Fitted) -> float:
-    """How far, px, the marker goes beside the path that the rig has for it: the rms, over _PARTS equal parts of the
-    range, of a part's mean distance across that path, less what noise leaves of it. Camera, hand_eye and kinematics are
-    wrong by so much, along the path too as far as anyone knows, where f_remain took it in. 0 for an angle sensor."""
+    """Systematic error of camera, hand_eye and kinematics, px, as the marker shows it beside the path that the rig has
+    for it: the rms over _PARTS equal parts of the range, of those with _FEW frames or more, of the weighted mean
+    distance across that path, less the variance of these means. Only across the path does such an error show; along it
+    f_remain takes it in, and the same size is assumed there. 0 for an angle sensor."""
     fit = fitted.fit
-    if fit.view is None:
+    if fit.view is None:  # an angle sensor
         return 0.0
     rows = []
     for prepared, sim, off, own in zip(fit.tracks, fit.simulated, fitted.residuals, fitted.weights, strict=True):
@@ -207,8 +208,9 @@ def _beside_the_path_px(fitted: Fitted) -> float:
     told = np.bincount(part, minlength=_PARTS) >= _FEW
     if not told.any():
         return 0.0
-    mean, frames = first[told] / weights[told], weights[told] ** 2 / squared[told]  # frames of even weight
-    of_noise = np.maximum(second[told] / weights[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)
+    mean = first[told] / weights[told]
+    frames = weights[told] ** 2 / squared[told]  # effective number of frames: (sum w)^2 / sum w^2
+    of_noise = np.maximum(second[told] / weights[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)  # of each mean
     return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
 
 

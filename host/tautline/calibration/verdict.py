@@ -155,9 +155,10 @@ def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
 
 
 def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
-    """Doubts B where the rms of its sigma is more than KNOWN of it, with a remedy for what most of that is from. Mild
-    if the model holds and the rest is known that well once the delay's part is taken off: together B and delay predict
-    as well as either that is known."""
+    """Adds a doubt of code "coverage" where B is measured at one place only, or where the rms of its sigma, over the
+    typical B, is above KNOWN. The remedy is for the cause of more than half of that variance: the delay, or the law by
+    which B follows the speed; else for too little motion. holds: whether the model predicts. Mild if it does and sigma
+    without the delay's part is within KNOWN: the errors of B and delay go together, and cancel in a prediction."""
     inside, usual, joint_fit = extent.inside, extent.usual, found.joint_fit
     if not inside.any():
         found.findings.doubt(

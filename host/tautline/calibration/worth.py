@@ -266,7 +266,8 @@ def _fit_of(
     model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> tuple[PlayFit, Curves]:
     """The model as a PlayFit and its curves: B, f_remain (seen through the projection if the sensor is a camera), delay
-    and effects as spline coefficients and values, with the smoothing and priors of the fits that they are from."""
+    and effects as spline coefficients and values, with the smoothing and priors of the fits that they are from; with a
+    new PlayFit's own where one of the two fits is None."""
     basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
     fit = PlayFit(
         [PreparedTrack.of(track) for track in tracks], basis, basis,

@@ -611,8 +611,11 @@ class _Descent:
 def _columns_by_tables(
     segment: Segment, state: ParameterState, hypothesis: Hypothesis, row: ScoredRows, into: Array
 ) -> set[int]:
-    """Puts into `into` (scored, k, slots) the derivatives of one recording's prediction by the parameters that change B
-    or f_remain linearly, at `state`, which has `row`; returns these slots' indices."""
+    """Writes into `into` (scored, k, slots) the derivatives of one recording's prediction by those parameters that
+    change B or f_remain linearly, and returns the indices of their slots; the other slots stay as they are. By the
+    chain rule a derivative is that of the prediction by the bending angle (row.by_c), times that of the angle by the
+    curve (row.by_width or row.by_follow), times that of the curve by the parameter, at the centre coordinate row.p for
+    B and at the tip, row.tip, for f_remain. row: the recording linearised at `state`."""
     values, slots = state.at(segment, hypothesis), hypothesis.slots
     found: set[int] = set()
     for kind in hypothesis.kinds:

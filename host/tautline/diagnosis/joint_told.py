@@ -236,7 +236,8 @@ def _effects(
 
 
 def _largest_share_first(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
-    """The groups in the order of how much their first member closes of the gap. before: rms of the gap."""
+    """The groups in the order of the share of the gap that each closes, the largest first. A group is the ids of
+    unknowns that cannot be told apart, the best first: that one counts. before: rms of the gap."""
     shares = answer.shares([group[0] for group in groups], before)
     return [groups[i] for i in np.argsort(-np.array(shares))]
 

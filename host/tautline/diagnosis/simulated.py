@@ -68,8 +68,9 @@ def diagnose_simulator(
 
 
 def _corrected_with_noise(diagnosis: Diagnosis) -> Model:
-    """The corrected model with the standard deviation of a reading about its prediction, from what it
-    leaves of held-out blocks: no calibration has given it one."""
+    """The corrected model with one standard deviation of a reading about its prediction, px per coordinate or deg, as
+    no calibration has given it one: the noise, and the misfit that it leaves of held-out blocks, enlarged by as much as
+    that is larger on unseen motions (`gap.unseen`, learnt().elsewhere)."""
     model, floor = diagnosis.corrected, diagnosis.document["noise_floor"]
     noise = gap.unseen(gap.rms(diagnosis.before), gap.rms(diagnosis.after), floor, learnt().elsewhere)
     return replace(model, uncertainty=replace(model.uncertainty, noise=noise))

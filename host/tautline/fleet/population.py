@@ -136,9 +136,10 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     return Curves(q, np.log(width), sigma, names=tuple(row.robot for row in usable), together=together)
 
 
-def paths(rows: Sequence[Row]) -> list[Curves]:
-    """The path over q that the tip's sensor sees, of the usable sessions with the most common kind of it: one Curves
-    for each coordinate (u and v in px, or an angle in deg). Empty where fewer than LEAST_ROBOTS have one."""
+def tip_paths(rows: Sequence[Row]) -> list[Curves]:
+    """The path over q that the tip's sensor sees, of the usable sessions that share the most common unit, places and
+    number of coordinates: one Curves for each coordinate (u and v in px, or an angle in deg). Empty where fewer than
+    LEAST_ROBOTS have one."""
     seen = _most_common_paths(rows)
     if len({row.robot for row in seen}) < LEAST_ROBOTS:
         return []
@@ -150,8 +151,8 @@ def paths(rows: Sequence[Row]) -> list[Curves]:
 
 
 def delays(rows: Sequence[Row]) -> Curves | None:
-    """The delay, s, of the sensor that sees `paths`, as curves of a single place (n, 1), of the usable sessions that
-    have one with its sigma. None where fewer than LEAST_ROBOTS do."""
+    """The delay, s, of the sensor that sees `tip_paths`, as curves of a single place (n, 1), of the usable sessions
+    that have one with its sigma. None where fewer than LEAST_ROBOTS do."""
     told = [(row.robot, row.delay_s, row.delay_sigma_s) for row in _most_common_paths(rows) if row.delay_sigma_s]
     if len({robot for robot, _, _ in told}) < LEAST_ROBOTS:
         return None

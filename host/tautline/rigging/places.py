@@ -32,9 +32,10 @@ class Places:
     q: Array  # (n,) the motor's mean position
 
 
-def read_known(file: Path) -> Angle:
-    """Reads a CSV with columns t_s,c_deg: from when on the tip rested for STANDS_S, s of the recording's clock, rising,
-    and at which angle, deg. TautError where it is none."""
+def read_known_angles(file: Path) -> Angle:
+    """Reads a CSV of known angles. Its column t_s is when a rest of at least STANDS_S began, s on the recording's
+    clock, each row later than the one before; c_deg is the tip's angle during that rest, deg. TautError where the file
+    is no such table. A last line that was cut is not left out, as it is of a log: it counts, or is an error."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header(), mend=False)
     return Angle(columns.rising_times(), columns.finite("c_deg"))
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from tautline import _native
 from tautline.errors import TautError
 from tautline.recording import Motor
-from tautline.simulators.scene import carried_by, check_named, lifts, needed, read, tip_of, with_servo
+from tautline.simulators.scene import carried_by, carries_weight, check_named, needed, read, tip_of, with_servo
 from tautline.simulators.simulator import Declared, Simulator
 
 if TYPE_CHECKING:
@@ -194,11 +194,11 @@ class Mjcf:
         yield Declared(f"{name}.damping", f"{force} s/{per}", damping, spread=damping or light, low=0.0)
         yield Declared(f"{name}.frictionloss", force, friction, spread=friction or stuck, low=0.0)
         yield Declared(f"{name}.armature", inertia_unit, armature, spread=armature or inertia, low=0.0)
-        if lifts(model, data, name) and not self._is_lifted(data, name):
+        if carries_weight(model, data, name) and not self._is_in_other_load(data, name):
             mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
             yield Declared(f"{name}.load", "kg", mass, spread=_HALF * mass, low=_HUNDREDTH * mass)
 
-    def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
+    def _is_in_other_load(self, data: mujoco.MjData, name: str) -> bool:
         """Whether the mass that this joint carries belongs to another joint's load already, as that carries this one: a
         mass is declared once. data: of the model, forward."""
         model, own = self._model, int(self._model.joint(name).bodyid[0])
@@ -206,7 +206,7 @@ class Mjcf:
         for other in self._joints:
             carries = other != name and own in carried_by(model, other)
             on_the_same_body = int(model.joint(other).bodyid[0]) == own  # of these the first one has it
-            if carries and (not on_the_same_body or other in before) and lifts(model, data, other):
+            if carries and (not on_the_same_body or other in before) and carries_weight(model, data, other):
                 return True
         return False
 

@@ -103,10 +103,11 @@ def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
     return np.array(carried, dtype=np.int64)
 
 
-def lifts(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> bool:
-    """Whether the weight of what a joint carries acts on it, so that its mass can be told from the motion: for a slide
-    gravity has a part along its axis, for a hinge a moment about it. data: forward (mj_forward), in the pose that
-    counts."""
+def carries_weight(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> bool:
+    """Whether the weight of the bodies that a joint carries can load it, so that their mass shows in the motion. Slide:
+    the part of gravity along its axis is above _NO_LOAD of g. Hinge: the largest moment of the weight about its axis,
+    over all angles of this joint, is above _NO_LOAD of m g times the model's extent, m being the mass. data: after
+    mj_forward; axis and centre of mass are those of its pose."""
     import mujoco
 
     at, body = int(model.joint(joint).id), int(model.joint(joint).bodyid[0])

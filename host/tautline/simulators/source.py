@@ -47,8 +47,9 @@ def of_python(name: str) -> Simulator:
 
 
 def opened(model: Model) -> Simulator:
-    """Opens the simulator that a model was made with, by the source that it keeps. TautError where it has no such
-    source, or the simulator is missing or has changed since."""
+    """Opens the simulator that a model was made with, by the source that it keeps; where that names a step of time
+    (STEP), the limit for short steps that was used then (`stepless`). TautError where it has no such source, or the
+    simulator is missing or has changed since."""
     source = model.simulator or {}
     simulator = _open_source(source, model)
     return stepless(simulator, _number(source, STEP)) if STEP in source else simulator
@@ -69,7 +70,8 @@ def _open_source(source: Mapping[str, Any], model: Model) -> Simulator:
 
 
 def _text(source: Mapping[str, Any], key: str) -> str:
-    """The text of a key in a simulator's source, which comes from a model's file. TautError where it is none."""
+    """The text of a key in a simulator's source, which comes from a model's file. TautError where it is something
+    else."""
     value = source.get(key)
     if not isinstance(value, str):
         raise _damaged_error(key, value, "a text")
@@ -77,7 +79,7 @@ def _text(source: Mapping[str, Any], key: str) -> str:
 
 
 def _number(source: Mapping[str, Any], key: str) -> float:
-    """The number of a key in a simulator's source, finite and not 0. TautError where it is none."""
+    """The number of a key in a simulator's source, finite and not 0. TautError where it is something else."""
     value = source.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value or not math.isfinite(value):
         raise _damaged_error(key, value, "a number")

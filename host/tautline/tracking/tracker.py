@@ -171,7 +171,7 @@ class LawTracker:
     def _level(self) -> float:
         """rms of residuals over the calibration's sigma that the law in use is known to leave: its misfit and what the
         frames of the moment scatter by."""
-        return float(np.sqrt(self._misfit**2 + self._scatter.times**2 - 1.0))
+        return float(np.sqrt(self._misfit**2 + self._scatter.ratio**2 - 1.0))
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
         """Samples that came, in order of time. others (n, 2): translation (mm), rotation (deg)."""
@@ -203,12 +203,15 @@ class LawTracker:
         return Row(self.state, c, u, v, self._offset, offset_sigma, self._taken_up.scale, scale_sigma, self.reason)
 
     def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
-        """Takes the marker's position, px, in the frame that was predicted last."""
+        """Keeps the marker's position, px, in the frame that was predicted last; the next `predict` learns from it.
+        sigma_px: its standard deviation; None where it is not known. The calibration's noise counts where that is
+        larger."""
         assert self._pending is not None
         self._pending = (self._pending[0], (u_px, v_px, sigma_px or 0.0))
 
     def read(self, c_deg: float) -> None:
-        """Takes the angle sensor's reading, deg, for the frame that was predicted last."""
+        """Keeps the angle sensor's reading, deg, for the time that was predicted last; the next `predict` learns from
+        it."""
         assert self._pending is not None
         self._pending = (self._pending[0], (c_deg,))
 
@@ -273,7 +276,7 @@ class LawTracker:
 
     def _scatter_in_words(self) -> str:
         """What the frames scatter by, if it is clearly more than when the model was calibrated; else ""."""
-        times = self._scatter.times
+        times = self._scatter.ratio
         return f"; places scatter {times:.1f} times as much as in the calibration" if times > _SCATTERS else ""
 
     def _learn_from(self, scene_s: float, seen: AngleEstimate, p: float) -> None:
@@ -285,7 +288,7 @@ class LawTracker:
         loose = self._play.driven == 0.0  # nothing has carried the tip yet: it is where it is seen
         within = self._clipped_to_play(y) if loose else y
         strange = abs(y - within) > _ELSEWHERE * self._width + SURE * sigma * self._level
-        if strange and not self._disturbance.there(self._arrival_s):
+        if strange and not self._disturbance.is_disturbed(self._arrival_s):
             self._strange += 1
             if self._strange == _STRANGE_FRAMES:
                 self._begin_with_offset(y - within, within)
@@ -322,7 +325,7 @@ class LawTracker:
         onset = abs(self._window.last_q - self._strokes.turned_at) < ONSET * self._width
         for doubt in self._doubts if onset else self._doubts[:1]:
             doubt.add(z, self._strokes.number, scene_s, self._window.end - 1)
-            if doubt.here > 0.0:
+            if doubt.odds_of_part > 0.0:
                 self._doubted_in = self._strokes.number
         worst = max(self._doubts, key=lambda doubt: doubt.odds)
         if self.state is State.TRUSTED and worst.odds > JUMP:
@@ -349,7 +352,7 @@ class LawTracker:
 
     def _learn_beyond(self, seen: AngleEstimate, p: float) -> None:
         """Updates the law beyond the measured range with a frame of the present stay."""
-        if self._visit is None or self._visit.full or self._disturbance.there(self._arrival_s):
+        if self._visit is None or self._visit.full or self._disturbance.is_disturbed(self._arrival_s):
             return
         slope = float(self._law.slope(p))
         sigma = self._level * abs(slope) * float(self.nominal.sigma(p, seen.sigma / slope))
@@ -359,7 +362,7 @@ class LawTracker:
     def _persistent_error(self) -> float:
         """What is added to the predicted angle at a recording's begin, deg: the running mean of the residual, if it is
         steady. It most likely goes on until the other direction tells an offset from a width."""
-        return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._lean.steady_deg
+        return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._lean.common_deg
 
     @property
     def _begun_lately(self) -> bool:
@@ -454,7 +457,7 @@ class LawTracker:
             starts.setdefault(max(self._since, self._strokes_ago(_STALE_STROKES)), self._theta)
         elif moved and self._strokes_ago(_FEW_STROKES) <= self._since:
             starts.setdefault(self._strokes_ago(1), self._theta)
-        noise = self._scatter.times
+        noise = self._scatter.ratio
         stretches = [(self._window.since(since), origin) for since, origin in starts.items()]
         return [(replace(evidence, noise=noise), origin) for evidence, origin in stretches if evidence is not None]
 
@@ -467,7 +470,7 @@ class LawTracker:
         once it has not explained three strokes."""
         self._judgement.keep_proposal(verdict, self._strokes.number)
         if verdict.disturbed:
-            self._disturbance.judged(self._arrival_s)
+            self._disturbance.note_judgement(self._arrival_s)
         if verdict.theta is None or self._disturbance.was_judged(self._arrival_s):
             if self.state is State.STALE:
                 self.reason = self._taken_up.dialled or verdict.says
@@ -489,7 +492,7 @@ class LawTracker:
     def _reduce_scale(self) -> None:
         """Takes up less at once where two passes show a narrower B. The law in use goes on predicting, as it may hold
         elsewhere."""
-        if self._disturbance.there(self._arrival_s):
+        if self._disturbance.is_disturbed(self._arrival_s):
             return
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
         if narrow is not None and narrow.share < self._taken_up.scale:
@@ -521,7 +524,7 @@ class LawTracker:
         self._law.followed.run(self._play, path + self._theta[OFFSET], True)
         self._clear_doubts(self._window.end)
         if verdict.narrower:
-            self._taken_up.no_more_than(self._theta)
+            self._taken_up.limit_to(self._theta)
         else:
-            self._taken_up.as_law(self.nominal, self._law, self._theta, verdict.passed)
+            self._taken_up.follow_law(self.nominal, self._law, self._theta, verdict.passed)
         self._reduce_scale()

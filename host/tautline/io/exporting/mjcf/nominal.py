@@ -36,9 +36,9 @@ class Nominal:
     timestep: float  # s
 
 
-def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:
-    """Reads the user's MJCF and finds actuator and tip in it. unit: of q; motor: the motor's range, in it; tip_rad:
-    angles (n,) that the tip takes. TautError names what is not there, or does not go together."""
+def read_nominal(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:
+    """Reads the user's MJCF and finds actuator and tip in it. unit: of q; motor: the motor's range, in that unit;
+    tip_rad: angles (n,), rad, that the tip takes. TautError names what is not there, or does not go together."""
     import mujoco
 
     if not mount.into.is_file():
