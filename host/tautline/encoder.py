@@ -107,7 +107,7 @@ def _is_smoothed(motor: Motor, steps: Steps | None, noise_counts: float) -> bool
     return (noise_counts > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps)
 
 
-def smoothed_away(motor: Motor, resolution: float) -> float:
+def smoothed_noise(motor: Motor, resolution: float) -> float:
     """Standard deviation of what smoothing takes for the readings' noise, their unit, at least that of rounding: 0
     where they are not smoothed. resolution: the rig's step of the encoder, the same unit."""
     steps, noise = _steps_of(motor, resolution), reading_noise(motor)
@@ -235,7 +235,8 @@ def _kept(
     kept: WeakKeyDictionary[Motor, dict[float, Kept]], motor: Motor, resolution: float,
     make: Callable[[Motor, float], Kept],
 ) -> Kept:  # fmt: skip
-    """What `make` makes of a motor at an encoder's resolution, which is kept as long as the motor is."""
+    """Returns what `make` makes of a motor at an encoder's resolution, the motor's unit: the first time it is made, and
+    put into `kept` for as long as the motor lives; then it is taken from there."""
     known = kept.setdefault(motor, {})
     if resolution not in known:
         known[resolution] = make(motor, resolution)

@@ -42,9 +42,10 @@ def check_writable(path: Path) -> None:
 
 
 @contextmanager
-def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """A temporary folder to write into, which takes `folder`'s place when the block ends without error. Other files in
-    it are kept, except those that match `stale`, which belong to the earlier result."""
+def replaced_folder(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
+    """Yields a temporary folder to write into, which takes `folder`'s place when the block ends without an error. Other
+    files in `folder` are kept, except those that match `stale` (patterns), which belong to the earlier result.
+    key_file: as in `check_replaceable`."""
     folder = Path(os.path.realpath(folder))  # where it is a link, what it leads to is replaced
     check_replaceable(folder, key_file)
     beside = folder.with_name(f".{folder.name}.{os.getpid()}.new")
@@ -79,9 +80,9 @@ def is_stream(path: Path) -> bool:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to, which takes its place when the block ends without an error; where that is a
-    link, the place of what it leads to."""
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yields a temporary path to write a file to, which takes the place of `path` when the block ends without an error;
+    where that is a link, the place of what it leads to."""
     if path.is_dir():
         raise TautError(f"{path}: is a folder: name a file")
     if is_stream(path):
@@ -102,7 +103,7 @@ def whole(path: Path) -> Iterator[Path]:
 def write_file(path: Path, text: str) -> None:
     """Writes text into a file, whole or not at all. A device or a pipe is written into as it is."""
     if not is_stream(path):
-        with whole(path) as temporary:
+        with whole_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="")
         return
     try:
@@ -123,8 +124,8 @@ def _not_written(place: Path, kind: str, error: OSError, *others: Path) -> TautE
 
 
 @contextmanager
-def unpacked(files: Mapping[str, bytes]) -> Iterator[Path]:
-    """A temporary folder with these files, by their paths in it."""
+def unpacked_folder(files: Mapping[str, bytes]) -> Iterator[Path]:
+    """Yields a temporary folder that holds these files, each content by its path in the folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for path, content in files.items():

@@ -409,7 +409,7 @@ def test_a_fit_that_ends_behind_the_camera_is_no_hypothesis(monkeypatch):
     search = Search(
         fitter, base, [effects.BY_ID["transmission.lag"], effects.BY_ID["camera.distortion"]], lambda text: None
     )
-    whole = Fitter.finished
+    whole = Fitter.finish
 
     def lost(self, begun):
         fit = whole(self, begun)

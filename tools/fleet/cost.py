@@ -69,7 +69,7 @@ class Cost:
         return sum(part.sessions for part in self.parts)
 
     @property
-    def whole(self) -> bool:
+    def whole_file(self) -> bool:
         return self.known == self.sessions
 
     @property

@@ -20,7 +20,7 @@ from tautline.rigging import (
     HandEyeFit,
     Intrinsics,
     Places,
-    coarse,
+    fit_coarse_law,
     hand_eye,
     intrinsics,
     places_of,
@@ -249,7 +249,7 @@ def _from_known_angles(
     for text in recording.warnings:
         warn(text)
     places = places_of(recording, known)
-    law, left_deg = coarse(places)
+    law, left_deg = fit_coarse_law(places)
     found = hand_eye(places, so_far.kinematics, so_far.camera, angle_sigma)
     for text in found.doubts:
         warn(text)

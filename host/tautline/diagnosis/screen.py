@@ -216,7 +216,7 @@ class _Scan:
         parameter's range and _FARTHEST scales. It cannot be right where that is 0, or where a one-way amplitude was
         simulated on the other side of 0 (`sign`); a fit starts a little on that side then."""
         scale = self.fitter.scale(parameter)
-        value = self.fitter.inside(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
+        value = self.fitter.clipped(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
         if value == 0.0 or (parameter.one_way and value * sign < 0.0):
             return _OTHER_WAY * sign * scale, False
         return value, True

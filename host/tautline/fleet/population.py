@@ -194,7 +194,7 @@ def population(curves: Curves, of_next: bool = False) -> Population:
     return _shrink_scatter(*_fit_mean_and_scatter(curves, freedom), curves, length, worth, freedom)
 
 
-def single(curves: Curves) -> Population:
+def population_of_single_value(curves: Curves) -> Population:
     """How a single value (n, 1), such as the delay, is spread between robots, as a prior for the next one: the mean
     over a grid of spreads, from 0 on, and tails, each weighted by its posterior probability under a flat prior. The
     likeliest spread alone would not do: it is 0 whenever sessions overstate their errors."""

@@ -166,7 +166,7 @@ class Following:
                 return float(np.interp(t_s, times, q))
         return float("nan")
 
-    def seen(self, frame: Frame) -> None:
+    def take(self, frame: Frame) -> None:
         """Takes in the next frame, and tracks all queued ones whose scene time the telemetry has reached."""
         self._read_telemetry()
         self._waiting.append(frame)
@@ -246,7 +246,7 @@ class Following:
 
 
 @contextmanager
-def beside(following: Following) -> Iterator[Following]:
+def tracking_beside(following: Following) -> Iterator[Following]:
     """A context within which a thread takes frames and tracks, while the block sends set-points. If the camera is lost
     only tracking ends: `following.lost` says so, and the board's tables stay as they were moved last."""
     ended = threading.Event()
@@ -255,7 +255,7 @@ def beside(following: Following) -> Iterator[Following]:
         """Body of the thread."""
         try:
             while not ended.is_set():
-                following.seen(following.live.look())
+                following.take(following.live.look())
         except TautError as error:
             following.lost = str(error)
 

@@ -67,9 +67,9 @@ def places_of(recording: Recording, known: Angle) -> Places:
     return Places(known.c_deg, np.array(image), np.array(sigma), np.array(q))
 
 
-def coarse(places: Places) -> tuple[Coarse, float]:
-    """The coarse law c = gain q + offset by least squares over the places, and the rms of its residual, deg, which play
-    and curvature make up, too. TautError where the motor stood at one place."""
+def fit_coarse_law(places: Places) -> tuple[Coarse, float]:
+    """The coarse law c = gain q + offset by least squares over the places, and the rms of its residual, deg, to which
+    play and curvature add. TautError where the motor stood at one place."""
     if np.ptp(places.q) <= 0.0:
         raise TautError("the motor stood at one place for all known angles: is the log that of the motion?")
     gain, offset = np.polyfit(places.q, places.c_deg, 1)

@@ -139,7 +139,8 @@ class LawTracker:
         self._lean = Lean()  # of what is left where a recording begins
 
     def begin(self) -> None:
-        """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
+        """Begins a new recording, whose clock, place of the tip and posture may be others: forgets the motor's path and
+        what was judged of the last one. The law that was learnt stays in use."""
         self.recording += 1
         self._path, self._started, self._placed, self._pending = CausalPath(), False, False, None
         self._disturbance.begin_recording()
@@ -169,17 +170,18 @@ class LawTracker:
 
     @property
     def _level(self) -> float:
-        """rms of residuals over the calibration's sigma that the law in use is known to leave: its misfit and what the
-        frames of the moment scatter by."""
+        """rms, in the calibration's standard deviations, of the residuals that the law in use is known to leave: by its
+        misfit, and by the frames' own scatter at present."""
         return float(np.sqrt(self._misfit**2 + self._scatter.ratio**2 - 1.0))
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
-        """Samples that came, in order of time. others (n, 2): translation (mm), rotation (deg)."""
+        """Adds samples of the motor, in order of time. t_s (n,): when they were taken, s; q (n,): its position; others
+        (n, 2): translation (mm) and rotation (deg), by default 0."""
         self._path.add(t_s, q, np.zeros((len(t_s), 2)) if others is None else others)
 
     def predict(self, scene_s: float, arrival_s: float | None = None) -> Row:
-        """The tip at a scene time, s, on the motor's clock, later than all before. arrival_s: when its frame arrived,
-        by default the scene time. The last frame is learnt from first."""
+        """Learns from the last frame, then predicts the tip at scene_s, a time, s, on the motor's clock, later than all
+        before. arrival_s: when the frame of that scene arrived, by default at scene_s."""
         self._arrival_s = scene_s if arrival_s is None else arrival_s
         self._use_last_frame()
         self._work_on_verdict()
@@ -315,11 +317,11 @@ class LawTracker:
         self._off += _PACE * (abs(off) - self._off)
         self._scatter.add(off / sigma)
         back = self._aside.add(q, off, sigma * self._level, self.state is State.TRUSTED)
-        self._doubt(off / (sigma * self._level), scene_s)
+        self._add_to_doubts(off / (sigma * self._level), scene_s)
         if back and self.state is State.STALE:
             self._become_trusted("the image is back from something else, and the model holds")
 
-    def _doubt(self, z: float, scene_s: float) -> None:
+    def _add_to_doubts(self, z: float, scene_s: float) -> None:
         """Adds a residual, z standard deviations, to the doubts, the second one's only near a turn. A trusted law
         becomes stale where the odds of either are above JUMP."""
         onset = abs(self._window.last_q - self._strokes.turned_at) < ONSET * self._width
@@ -360,8 +362,8 @@ class LawTracker:
         self._law = self.nominal.law(self._theta)
 
     def _persistent_error(self) -> float:
-        """What is added to the predicted angle at a recording's begin, deg: the running mean of the residual, if it is
-        steady. It most likely goes on until the other direction tells an offset from a width."""
+        """What is added to the predicted angle, deg: at a recording's begin the error that all frames have alike, as it
+        most likely goes on until the other direction tells an offset from a width; else, and of a trusted law, 0."""
         return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._lean.common_deg
 
     @property
@@ -370,9 +372,9 @@ class LawTracker:
         return self._strokes.number <= self._fresh_until
 
     def _off_while_loose(self, y: float, p: float, within: float) -> float:
-        """By how much a tip that nothing has carried yet is off at y, the larger of two: beside the play, in which
-        `within` is nearest to y; and since it was seen last, at p, as it has no reason to move: over sqrt(2), as both
-        frames have noise. All unit of q."""
+        """By how much a tip at centre coordinate y that nothing has carried yet is off, unit of q: the larger of two.
+        One is y less `within`, the place in the play that is nearest to it. The other is y less p, where it was seen
+        last, as it has no reason to move: over sqrt(2), as both frames have noise; 0 if it was not seen yet."""
         since = (y - p) / np.sqrt(2.0) if self._placed else 0.0
         return max(y - within, since, key=abs)
 
@@ -396,7 +398,8 @@ class LawTracker:
         self._change_state(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
 
     def _use_law(self, theta: Array) -> None:
-        """Takes the law of theta into use."""
+        """Takes the law of theta (PARAMETERS,) into use; forgets what the law before it left, and passes that need no
+        longer lie on an envelope."""
         self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
         self._lean = Lean()  # the one before leaves no more
@@ -406,14 +409,14 @@ class LawTracker:
         self._offset = self.nominal.offset(theta)
 
     def _become_stale(self, since: int) -> None:
-        """The model is stale from now on; evidence counts from the entry `since`."""
+        """Sets the state to STALE; evidence counts from the window's entry `since` on."""
         self._since = since
         self._judgement.hurry()
         self._change_state(State.STALE, "the tip is not where the model says: more reversals will tell why")
 
     def _become_trusted(self, why: str) -> None:
-        """The law in use is trusted from now on: no hypothesis is judged any more, all of B that it allows is taken up
-        again, and doubts count from the next frame. why: in words, for the user."""
+        """Sets the state to TRUSTED: drops the judgement of hypotheses, takes up again all of B that the law in use
+        allows, and lets doubts count from the next frame. why: in words, for the user."""
         self._judgement.drop()
         self._taken_up.take_up_all_allowed(self._theta)
         self._clear_doubts(self._window.end)
@@ -490,8 +493,8 @@ class LawTracker:
             self._change_state(State.ADAPTING, verdict.says)
 
     def _reduce_scale(self) -> None:
-        """Takes up less at once where two passes show a narrower B. The law in use goes on predicting, as it may hold
-        elsewhere."""
+        """Lowers the share of B that is taken up where two passes of one place show a narrower B. The law in use goes
+        on predicting, as it may hold elsewhere. Does nothing while the tip is disturbed."""
         if self._disturbance.is_disturbed(self._arrival_s):
             return
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)

@@ -36,7 +36,7 @@ class Work(Protocol):
 
     @property
     def rig(self) -> Rig:
-        """Of the set-up or the recording."""
+        """The rig of the set-up or of the recording."""
 
     @property
     def about(self) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class _OnSetUp:
 
     @property
     def rig(self) -> Rig:
-        """Of the set-up."""
+        """The rig of the set-up."""
         return self.live.rig
 
     def idle(self, desk: Desk) -> None:

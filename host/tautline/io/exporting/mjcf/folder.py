@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tautline.effects import BY_ID, of_this_version
 from tautline.elements import SINGLE, Elements, warp_of
-from tautline.folders import replaced, write_file
+from tautline.folders import replaced_folder, write_file
 from tautline.io.exporting.export import Exported
 from tautline.io.exporting.mjcf import measure, transmission
 from tautline.io.exporting.mjcf.chain import Chain, fit, fit_sum
@@ -51,7 +51,7 @@ def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str]
     nominal = read_nominal(mount, model.rig.actuator.unit, model.rig.actuator.range, tip_rad)
     progress(0.05, "polynomials")
     law = law_of(model)
-    with replaced(out, REPORT, stale=(WARP,)) as folder:
+    with replaced_folder(out, REPORT, stale=(WARP,)) as folder:
         rest = callback_files(model, nominal)
         # What a scene leads to is named from where it lies: here while it is measured, in the end from `out`.
         for name, text in {**scenes(nominal, law, folder), **rest}.items():
