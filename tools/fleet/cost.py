@@ -69,7 +69,7 @@ class Cost:
         return sum(part.sessions for part in self.parts)
 
     @property
-    def whole_file(self) -> bool:
+    def whole(self) -> bool:
         return self.known == self.sessions
 
     @property
