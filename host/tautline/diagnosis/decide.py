@@ -155,14 +155,18 @@ def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[f
 
 def _posterior(likelihoods: Likelihoods) -> Array:
     """(hypotheses + 1,) Posterior probability of each hypothesis, likelihood times prior over their sum, and last that
-    of an unknown cause, of scatter or of a path. Among hypotheses with the same effects only the best has any."""
+    of an unknown cause: of scatter, of a path, or of what the calibration leaves of itself. Among hypotheses with the
+    same effects only the best has any."""
     best = list(likelihoods.best.values())
     log = np.full(len(likelihoods.log_likelihood) + 1, -np.inf)
     log[best] = likelihoods.log_likelihood[best] + likelihoods.prior[best]
     unknown_scatter = likelihoods.unknown_scatter[best] + likelihoods.prior[best]
     unknown_path = likelihoods.unknown + np.log(likelihoods.hyper.odds_unknown)
     log[-1] = log_sum(np.append(unknown_scatter, unknown_path))
-    return np.asarray(np.exp(log - log_sum(log)))
+    p = np.asarray(np.exp(log - log_sum(log)))
+    swallowed = likelihoods.unknown_from_start * p[0]
+    p[0], p[-1] = p[0] - swallowed, p[-1] + swallowed
+    return p
 
 
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: Learnt | None = None) -> Decision:

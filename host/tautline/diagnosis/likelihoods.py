@@ -22,6 +22,9 @@ from tautline.effects import EVENTS
 Array = npt.NDArray[np.float64]
 
 COINCIDES = 0.1  # prior: probability that an unknown effect goes with a column that was measured beside the motion
+OWN_MISFIT = 0.5  # prior: mean power, times the floor's, that a nominal model leaves above it of its own calibration
+EARLY = 0.5  # prior: probability that an unknown cause was there while calibrating, if it is one
+_LARGEST = float(np.exp(12.0))  # prior: largest power, times the floor's, of what an unknown cause leaves
 _QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior of mean 1
 _ALIKE = (0.01, 1.0)  # tolerance: limits of the share of a misfit by which a further effect looks like it
 
@@ -41,8 +44,8 @@ class Likelihoods:
         known = hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess
         self._by_share = case.log_likelihood_by_share(*known)
         self._by_right_share = case.log_likelihood_by_right_share(*known)
-        # (hypotheses,) More parameters than blocks count no more: of a block one number is told beyond its noise.
-        self._parameters = np.minimum(case.parameters, len(case.before))
+        # (hypotheses,) More than blocks in which the effects act count no more: of a block one number is told.
+        self._parameters = np.minimum(case.parameters, case.acts)
         self._mimics = hyper.mimicked(self._parameters / np.maximum(case.size, 1))  # of a set as of its effects' mean
         # The share that a set of effects may well leave: as the worst of it.
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
@@ -169,6 +172,16 @@ class Likelihoods:
         by_excess = case.log_likelihood(lesser, 0.0, excess, case.own_misfit, hyper.noise_tells, hyper.block_freedom)
         over_prior = float(log_sum(by_excess) - np.log(len(by_excess)))
         return over_prior - taken / (case.own_misfit / case.floor2 + hyper.calibration_excess)
+
+    @property
+    def unknown_from_start(self) -> float:
+        """If nothing changed since the calibration, the probability that what this leaves of itself, x = power over
+        floor^2 - 1, has an unknown cause: its density 1 / (OWN_MISFIT + x), up to _LARGEST, against the exponential
+        one of what a nominal model leaves, of mean OWN_MISFIT."""
+        x = max(self._case.calibrated - 1.0, 0.0)
+        of_cause = self.hyper.odds_unknown * EARLY / ((OWN_MISFIT + x) * np.log1p(_LARGEST / OWN_MISFIT))
+        of_nominal = self.hyper.odds_none * np.exp(-x / OWN_MISFIT) / OWN_MISFIT
+        return float(of_cause / (of_cause + of_nominal))
 
     @property
     def _log_chance_of_misfit(self) -> Array:

@@ -112,12 +112,14 @@ class Stacked:
         self.applicable = evidence.applicable
         # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
         # an effect was there while calibrating, that is what the effect left, and says nothing of the model.
-        self.own_misfit = float(np.clip(evidence.calibrated / self.floor2, 1.0, INEXACT) - 1.0) * self.floor2
+        self.calibrated = evidence.calibrated / self.floor2  # power that a calibration leaves of itself, over the floor's
+        self.own_misfit = float(np.clip(self.calibrated, 1.0, INEXACT) - 1.0) * self.floor2
         self._own_misfit_of = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
         self.power = np.maximum([h.power for h in hypotheses], self.floor2)  # (hypotheses, blocks)
         self.before = self.power[0] - self.floor2  # (blocks,) the gap's power above the floor
         self.mean = np.mean(self.power, axis=1)  # (hypotheses,)
         self.parameters = np.array([h.parameters for h in hypotheses], dtype=float)
+        self.acts = self._blocks_in_which_effects_act
         self.chance = np.array([h.chance for h in hypotheses])
         self.each: Flags = np.array([h.each for h in hypotheses])  # an effect has its own amplitude in each recording
         self._set_scatter(hypotheses)
@@ -128,6 +130,15 @@ class Stacked:
         self.log_likelihood_by_share = lru_cache(_REMEMBERED)(self._log_likelihood_by_share)
         self.log_likelihood_by_right_share = lru_cache(_REMEMBERED)(self._log_likelihood_by_right_share)
         self.confined_log_ratio = lru_cache(_REMEMBERED)(self._confined_log_ratio)
+
+    @property
+    def _blocks_in_which_effects_act(self) -> Array:
+        """(hypotheses,) In how many blocks each leaves less power than the nominal model alone: Kish's effective number
+        by how much less, at least 1; all blocks where it leaves nowhere less."""
+        less = np.maximum(self.power[0] - self.power, 0.0)
+        squares = np.sum(less**2, axis=1)
+        count = np.square(np.sum(less, axis=1)) / np.where(squares > 0.0, squares, 1.0)
+        return np.where(squares > 0.0, np.maximum(count, 1.0), len(self.before))
 
     def _set_scatter(self, hypotheses: Sequence[Weighed]) -> None:
         """Which hypotheses have an event (`scatters`), and (hypotheses, blocks) each: logarithms of the power over the

@@ -62,6 +62,7 @@ EFFECTS = (
         mend="The instrument tilts in its channel: guide it more closely.",
         needs="camera",
         leaves="channel",
+        material=True,  # how far it leans goes with its friction in the channel
     ),
     Kind(
         "registration.shift",
