@@ -33,9 +33,8 @@ def check_writable(path: Path) -> None:
         if os.path.ismount(place):
             raise TautError(f"{path}: is a mount point, whose place nothing can take: name a folder in it")
         there = next(each for each in place.parents if each.exists())
-        with tempfile.TemporaryDirectory(
-            ".old", f".{place.name}.", there
-        ):  # with a name as long as those to be written
+        # Its name is as long as those that will be written.
+        with tempfile.TemporaryDirectory(".old", f".{place.name}.", there):
             pass
     except OSError as error:
         raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another place") from error

@@ -460,9 +460,9 @@ class Measuring(_Setting):
         return joint_fit, components
 
     def _with_uncertainty_of_departures(self, joint_fit: Fitted, components: Components) -> Fitted:
-        """The joint fit with the same B, in whose sigma is how much the departures would change it. An angle sensor's
-        delay becomes the nominal one, and B is fitted anew with that, if the two differ by less than the delay's sigma,
-        be that the departures' or the joint fit's."""
+        """The joint fit, without the departures, with how much they would change B added to B's sigma. An angle
+        sensor's delay becomes the nominal one, and all is fitted anew with that, if the two differ by less than the
+        delay's sigma, the larger of the departures' and the joint fit's."""
         delay_sigma = max(components.delay_sigma, joint_fit.delay_sigma)
         near_nominal = abs(joint_fit.curves.delay_s - self.nominal_s) < delay_sigma
         if not self.framed and joint_fit.fit.fit_delay and near_nominal:

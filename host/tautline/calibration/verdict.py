@@ -122,8 +122,8 @@ def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
     """Completes the reasons for the verdict. It is good where the model holds, which is where its error on blocks that
     the fit has not seen, with what goes on to change, is within PREDICTS times the noise, and where B is known
     (`_doubt_sigma`, last). Held samples, a gradual onset and what departs from the model are doubts where it does not
-    hold, and else mild; if it does not hold and nothing is doubted, a reason says so (`_unexplained`). predictions:
-    None where nothing could be predicted; found.sigma: with all that is uncertain."""
+    hold, and else mild. Where its error alone is larger and nothing departs or is doubted, a reason says so
+    (`_unexplained`). predictions: None where nothing could be predicted; found.sigma: with all that is uncertain."""
     components, frames = found.components, sum(len(track.t_s) for track in found.tracks)
     predicts = predictions is None or predictions.predicts
     goes_on = 0.0 if components is None else components.late_change  # as far as it came in as long a time

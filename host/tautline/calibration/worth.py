@@ -124,9 +124,8 @@ def bounded_rms(off: Array) -> float:
 
 def _frames_of_tip(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[Mask]) -> list[Mask]:
     """The masks without the frames that show something else than the tip (another blob, a lost count): their error is
-    larger than STRAY times the usual one, and larger than all of B would move the tip by in the image. For that the
-    image moves with the tip at least as much as it does on average (rms): where a model lets it rest, that may be what
-    is wrong."""
+    larger than STRAY times the usual one, and larger than all of B would move the tip by in the image. There the image
+    is taken to move with the tip at least as much as on average (rms), as a model that lets it rest may be wrong."""
     usual, widest = STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
     kept = []
     for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):

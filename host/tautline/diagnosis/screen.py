@@ -255,9 +255,9 @@ class _Scan:
         """((n, k) best amplitudes, (n,) share of the residual's sum of squares that they explain) of n effects, each
         alone: a = (G - X'N^-1 X + prior)^+ g, share a'g / sum of squares. The pseudo-inverse is taken after columns are
         scaled to unit norm, without directions whose eigenvalue is then below _RANK. The share is -1 where the fit's
-        unknowns absorb an effect: where they leave at most _FREE of the norm of each of its columns. of_effect (n, k,
-        k): G of its columns; taken (n, k, k): X'N^-1 X, what these unknowns take of it; gradient (n, k): g once they
-        have taken theirs; prior (k, k), or one number for all: precision of the amplitudes."""
+        unknowns absorb an effect: where they leave at most _FREE of the norm of each of its columns. of_effect: G of
+        its columns, (n, k, k); taken: X'N^-1 X, what these unknowns take of it, (n, k, k); gradient: g once they have
+        taken theirs, (n, k); prior: precision of the amplitudes, (k, k), or one number for all of its elements."""
         k = of_effect.shape[1]
         diagonal = np.arange(k)
         free, size = of_effect - taken, of_effect[:, diagonal, diagonal]  # size: squared norms of the columns

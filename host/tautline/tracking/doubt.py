@@ -34,9 +34,10 @@ class Doubt:
     @property
     def odds_of_part(self) -> float:
         """Log odds, by the frames of the present part alone, that the law changed: (x - _FREEDOM log(1 + x)) / 2 +
-        log(_SHARE / (1 - _SHARE)). x is by how much the sum of the frames' squared residuals (in standard deviations),
-        over _UNSURE, exceeds their number, and 0 at least. The first logarithm is the price of _FREEDOM fitted numbers
-        of any size, which say where the tip is instead; the second one is the prior. 0 without frames."""
+        log(_SHARE / (1 - _SHARE)). x is by how much the sum of the frames' squared residuals (in standard deviations,
+        each cut at CAP), over _UNSURE, exceeds their number, and 0 at least. The first logarithm is the price of
+        _FREEDOM fitted numbers of any size, which say where the tip is instead; the second one is the prior. 0 without
+        frames."""
         if not self._count:
             return 0.0
         beyond = max(self._squares / _UNSURE - self._count, 0.0)

@@ -48,8 +48,8 @@ class TakenUp:
         self.scale = float(np.min(self._allowed[self._measured])) if self._measured.any() else float(theta[SCALE])
 
     def dial_down(self, share: float) -> None:
-        """Sets the scale to this share of B until the next law or verdict, as two passes of one place show a narrower
-        B; sets `dialled` to why."""
+        """Sets the scale to this share of B until a law is adopted or trusted again, as two passes of one place show a
+        narrower B; sets `dialled` to why."""
         self.scale = share
         self.dialled = (
             f"transmission.backlash: {100 * share:.0f} % of the calibrated width "

@@ -203,8 +203,8 @@ class Diagnosing(_OnSetUp):
                 raise Stopped
 
         def answered(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
-            """Publishes a diagnosis and what leads now. why: the diagnosis ends, "" while another motion follows: then
-            waits until a page is open; Stopped where stop was pressed meanwhile."""
+            """Publishes a diagnosis and what leads now. why: why the diagnosis ends, "" while another motion follows:
+            then waits until a page is open; Stopped where stop was pressed meanwhile."""
             answers.append(leading)
             desk.events.publish("diagnosis", shown.diagnosis_document(diagnosis.document, answers, why))
             while not why and desk.resting():
