@@ -40,6 +40,7 @@ class Decision:
     brought: tuple[str, ...] = ()  # parts of the nominal model that a named effect changed too: no causes of their own
     alternatives: tuple[str, ...] = ()  # to the last named effect: one of these or it is there
     count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one counts as one
+    early: float = 0.0  # share of `unknown`: that the cause was there while calibrating, and nothing changed since
 
     @property
     def name(self) -> str:
@@ -72,7 +73,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
     learned = learned or learnt()
     case = Stacked(evidence)
     likelihoods = Likelihoods(case, learned.center)
-    p = _posterior(likelihoods)
+    p, early = _posterior(likelihoods)
     best = likelihoods.best
 
     leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
@@ -95,6 +96,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
         brought=tuple(name for name in named if name in parts),
         alternatives=tuple(alternatives) if named and named[-1] not in parts else (),
         count=_count_probabilities(case, p),
+        early=early,
     )
 
 
@@ -148,25 +150,25 @@ def _count_probabilities(case: Stacked, p: Array) -> tuple[float, ...]:
 def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[float, float, float]:
     """Probabilities of none, of unknown and of `effect` to lead, as `decide` finds them with these hyperparameters."""
     likelihoods = Likelihoods(case, hyper)
-    p, best = _posterior(likelihoods), likelihoods.best
+    (p, _), best = _posterior(likelihoods), likelihoods.best
     leads = (float(p[i]) for key, i in best.items() if effect in key and likelihoods.leader(key, best) == effect)
     return float(p[0]), float(p[-1]), sum(leads)
 
 
-def _posterior(likelihoods: Likelihoods) -> Array:
-    """(hypotheses + 1,) Posterior probability of each hypothesis, likelihood times prior over their sum, and last that
-    of an unknown cause: of scatter, of a path, or of what the calibration leaves of itself. Among hypotheses with the
-    same effects only the best has any."""
+def _posterior(likelihoods: Likelihoods) -> tuple[Array, float]:
+    """((hypotheses + 1,) posterior probability of each hypothesis, likelihood times prior over their sum, and last that
+    of an unknown cause: of scatter, of a path, or of what the calibration leaves of itself; the share of the latter).
+    Among hypotheses with the same effects only the best has any."""
     best = list(likelihoods.best.values())
     log = np.full(len(likelihoods.log_likelihood) + 1, -np.inf)
     log[best] = likelihoods.log_likelihood[best] + likelihoods.prior[best]
     unknown_scatter = likelihoods.unknown_scatter[best] + likelihoods.prior[best]
     unknown_path = likelihoods.unknown + np.log(likelihoods.hyper.odds_unknown)
     log[-1] = log_sum(np.append(unknown_scatter, unknown_path))
-    p = np.asarray(np.exp(log - log_sum(log)))
-    swallowed = likelihoods.unknown_from_start * p[0]
-    p[0], p[-1] = p[0] - swallowed, p[-1] + swallowed
-    return p
+    p = np.exp(log - log_sum(log))
+    from_start = likelihoods.unknown_from_start * float(p[0])
+    p[0], p[-1] = p[0] - from_start, p[-1] + from_start
+    return p, from_start / max(float(p[-1]), 1e-300)
 
 
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: Learnt | None = None) -> Decision:

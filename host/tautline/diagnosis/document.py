@@ -125,6 +125,7 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "noise_floor": found.floor,
         "gap": found.gap,
         "gap_recalibrated": {"before": found.recalibrated},
+        "calibration_leaves": float(np.sqrt(found.gathered.evidence.calibrated)),  # of its own recording, rms
         "tracker": found.tracked.to_json() if found.tracked else None,  # of videos: the noise of a moving marker
         "flexible": found.by_gaussian_process.to_json() if found.by_gaussian_process else None,
         "effects": _effects(found, shares),
@@ -132,6 +133,7 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "candidates": _candidates(found),
         "probability_none": found.verdict.none,
         "probability_unknown": found.verdict.unknown,
+        "unknown_from_start": found.verdict.early,  # share of it
         "count": list(found.verdict.count),
         "where": {
             "stage": _stage(found.verdict),

@@ -22,7 +22,7 @@ from tautline.effects import EVENTS
 Array = npt.NDArray[np.float64]
 
 COINCIDES = 0.1  # prior: probability that an unknown effect goes with a column that was measured beside the motion
-OWN_MISFIT = 0.5  # prior: mean power, times the floor's, that a nominal model leaves above it of its own calibration
+OWN_MISFIT = 0.3  # prior: mean power, times the floor's, that a nominal model leaves above it of its own calibration
 EARLY = 0.5  # prior: probability that an unknown cause was there while calibrating, if it is one
 _LARGEST = float(np.exp(12.0))  # prior: largest power, times the floor's, of what an unknown cause leaves
 _QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior of mean 1

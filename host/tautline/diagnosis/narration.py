@@ -13,6 +13,7 @@ from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 from tautline.undone import COUPLED
 
+_SOUND = 1.3  # format: times the noise: a calibration that leaves more of itself says so
 _SMALL = 3.0  # format: times the noise: a smaller gap is called small
 _REMAINS = {  # why no table of the board undoes an effect
     "transmission.rest_dependent_backlash": "it goes with the rest before, which no section of a table holds",
@@ -28,6 +29,7 @@ _WHOLE, _LEAST_DIGITS = 999.5, 1e-3  # format: from which numbers are whole, bel
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
 _IN_WORDS = 2  # format: named effects that have a sentence each; of more only the first has
 _NEAR = 0.1  # format: share of a gap that an effect or a refit must close to be mentioned
+_EARLY = 0.5  # format: probability from which an unknown cause is said to have been there from the start
 _CLOSED = 0.995  # format: shrinkage from which a gap is said to close
 LEAST_TOLD = 0.005  # format: share of a gap below which nothing is said of what an effect closes
 _HARDLY = 0.15  # format: share of a gap that a flexible model closes: below it, hardly any
@@ -55,8 +57,10 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 def sentence(document: Mapping[str, Any]) -> str:
     """Verdict, effects and shrinkage in one sentence, and what cannot be told apart in further ones."""
     if document["verdict"] == "none":
+        own = document.get("calibration_leaves", 0.0)
+        beyond = f"what it leaves of its own calibration ({digits(own)})" if _leaves_much(document) else "noise"
         return (
-            "No gap beyond noise: the calibrated model predicts motions that it never saw to "
+            f"No gap beyond {beyond}: the calibrated model predicts motions that it never saw to "
             f"{_size_before(document)}, and the noise alone is {digits(document['noise_floor'])}."
         )
     return _unknown_sentence(document) if document["verdict"] == "unknown" else _effect_sentences(document)
@@ -75,6 +79,11 @@ def _times_noise(document: Mapping[str, Any]) -> str:
 def _unknown_sentence(document: Mapping[str, Any]) -> str:
     """`sentence` of a gap with an unknown cause: what would close most of it, and why that is not the cause."""
     before, times = _size_before(document), _times_noise(document)
+    if _was_early(document):
+        return (
+            f"Nothing has changed since the calibration, but a gap of {before}, {times}, was there already: the "
+            f"calibration leaves as much of its own recording, and no known effect explains it{_pattern(document)}."
+        )
     small = _is_small(document)
     what = "Nothing large is left: a small gap" if small else "A gap"
     pattern = "" if small else _pattern(document)
@@ -264,6 +273,8 @@ def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
         return [NextStep(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan.")]
     if document["verdict"] != "unknown":
         return []
+    if _was_early(document):
+        return [NextStep("See what the calibration's own verdict says, and calibrate again once that is mended.")]
     where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:_PLACES]])
     return [NextStep(f"Look at the instrument where the gap is largest: {where}.")]
 
@@ -419,9 +430,20 @@ def _swing(document: Mapping[str, Any]) -> float | None:
     return closed.get("swing_s") if closed else None
 
 
+def _leaves_much(document: Mapping[str, Any]) -> bool:
+    """Whether the calibrated model leaves more than _SOUND times the noise of its own calibration."""
+    return bool(document.get("calibration_leaves", 0.0) > _SOUND * document["noise_floor"])
+
+
+def _was_early(document: Mapping[str, Any]) -> bool:
+    """Whether an unknown cause was there while calibrating, and nothing else changed since."""
+    return document["verdict"] == "unknown" and bool(document.get("unknown_from_start", 0.0) > _EARLY)
+
+
 def _is_small(document: Mapping[str, Any]) -> bool:
-    """Whether the gap has an unknown cause and its rms is below _SMALL times the noise."""
-    return document["verdict"] == "unknown" and bool(document["gap"]["before"] < _SMALL * document["noise_floor"])
+    """Whether the gap has an unknown cause that came later and its rms is below _SMALL times the noise."""
+    small = bool(document["gap"]["before"] < _SMALL * document["noise_floor"])
+    return document["verdict"] == "unknown" and small and not _was_early(document)
 
 
 def _capital(sentence: str) -> str:

@@ -112,7 +112,7 @@ class Stacked:
         self.applicable = evidence.applicable
         # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
         # an effect was there while calibrating, that is what the effect left, and says nothing of the model.
-        self.calibrated = evidence.calibrated / self.floor2  # power that a calibration leaves of itself, over the floor's
+        self.calibrated = evidence.calibrated / self.floor2  # what the calibrated model leaves of it, over the floor's
         self.own_misfit = float(np.clip(self.calibrated, 1.0, INEXACT) - 1.0) * self.floor2
         self._own_misfit_of = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
         self.power = np.maximum([h.power for h in hypotheses], self.floor2)  # (hypotheses, blocks)
