@@ -136,8 +136,8 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     middle = 0.5 * (grid[0] + grid[-1])
     grid, width = _with_least_width(grid, width, narrow)
     table = _Periods(grid, width)
-    first = float(table.low(middle))
-    last = float(table.up(first))
+    first = float(table.lower_end(middle))
+    last = float(table.next_period(first))
     base = _warp_in_one_period(grid, width, first, last)
     corners = table.into_period(grid - 0.5 * width, first, last)
     knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
@@ -173,11 +173,11 @@ def _in_all_periods(table: _Periods, knots: Array, phases: Array) -> tuple[Array
     columns = [(knots, phases)]
     q, period = knots, 0
     while q[0] <= table.grid[-1] + _PAST * table.width[-1]:
-        q, period = table.up(q), period + 1
+        q, period = table.next_period(q), period + 1
         columns.append((q, phases + period))
     q, period = knots, 0
     while q[-1] >= table.grid[0] - _PAST * table.width[0]:
-        q, period = table.down(q), period - 1
+        q, period = table.previous_period(q), period - 1
         columns.insert(0, (q, phases + period))
     return np.concatenate([q for q, _ in columns]), np.concatenate([x for _, x in columns])
 
@@ -191,17 +191,17 @@ class _Periods:
         self.left, self.right = grid - 0.5 * width, grid + 0.5 * width
         self.grid, self.width = grid, width
 
-    def low(self, p: npt.ArrayLike) -> Array:
+    def lower_end(self, p: npt.ArrayLike) -> Array:
         """p - B(p)/2 at centre coordinates p, unit of q."""
         p = np.asarray(p, dtype=float)
         return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
 
-    def up(self, u: npt.ArrayLike) -> Array:
-        """T: where u = p - B(p)/2, unit of q, is p + B(p)/2: a period further."""
+    def next_period(self, u: npt.ArrayLike) -> Array:
+        """Maps u = p - B(p)/2 to p + B(p)/2, unit of q: the map T, one period further."""
         return _interpolated(u, self.left, self.right)
 
-    def down(self, u: npt.ArrayLike) -> Array:
-        """T's inverse: where u = p + B(p)/2, unit of q, is p - B(p)/2: a period back."""
+    def previous_period(self, u: npt.ArrayLike) -> Array:
+        """Maps u = p + B(p)/2 to p - B(p)/2, unit of q: the inverse of T, one period back."""
         return _interpolated(u, self.right, self.left)
 
     def into_period(self, u: Array, first: float, last: float) -> Array:
@@ -209,9 +209,9 @@ class _Periods:
         period [first, last), last = T(first)."""
         u = u.copy()
         while (above := u >= last).any():
-            u[above] = self.down(u[above])
+            u[above] = self.previous_period(u[above])
         while (below := u < first).any():
-            u[below] = self.up(u[below])
+            u[below] = self.next_period(u[below])
         return u
 
 
@@ -228,13 +228,13 @@ def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) ->
     rises from 0 to 1: the one whose continuation over the whole table has the least integral of G'''^2."""
     # On the mesh: _MESH nodes in the period, and their images in all periods that the table has, each a column.
     smooth = _Periods(*_without_corners(grid, width))
-    nodes = first + (float(smooth.up(first)) - first) * np.arange(_MESH) / _MESH
+    nodes = first + (float(smooth.next_period(first)) - first) * np.arange(_MESH) / _MESH
     columns = [nodes]
     while columns[-1][-1] < grid[-1] + 0.5 * width[-1]:
-        columns.append(smooth.up(columns[-1]))
+        columns.append(smooth.next_period(columns[-1]))
     ahead = len(columns)  # periods from the first one on; those inserted below come before
     while columns[0][0] > grid[0] - 0.5 * width[0]:
-        columns.insert(0, smooth.down(columns[0]))
+        columns.insert(0, smooth.previous_period(columns[0]))
     period = np.repeat(np.arange(ahead - len(columns), ahead, dtype=float), _MESH)
     values = np.linspace(0.0, 1.0, _MESH, endpoint=False)
     q = np.concatenate(columns)
@@ -242,8 +242,8 @@ def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) ->
     if len(columns) > 1:
         values = _least_third_derivative(q, period, inside)
     # with a neighbour on either side for the slopes; stretched to the table's own period
-    around = np.concatenate([smooth.down(nodes), nodes, smooth.up(nodes)])
-    scale = (last - first) / (float(smooth.up(first)) - first)
+    around = np.concatenate([smooth.previous_period(nodes), nodes, smooth.next_period(nodes)])
+    scale = (last - first) / (float(smooth.next_period(first)) - first)
     return PchipInterpolator(first + scale * (around - first), np.concatenate([values - 1, values, values + 1]))
 
 

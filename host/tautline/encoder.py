@@ -107,7 +107,7 @@ def _is_smoothed(motor: Motor, steps: Steps | None, noise_counts: float) -> bool
     return (noise_counts > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps)
 
 
-def smoothed_away(motor: Motor, resolution: float) -> float:
+def smoothed_noise(motor: Motor, resolution: float) -> float:
     """Standard deviation of what smoothing takes for the readings' noise, their unit, at least that of rounding: 0
     where they are not smoothed. resolution: the rig's step of the encoder, the same unit."""
     steps, noise = _steps_of(motor, resolution), reading_noise(motor)
@@ -123,14 +123,16 @@ def swings(motor: Motor) -> bool:
 
 
 def _third_difference_score(motor: Motor) -> float:
-    """The correlation of neighbouring third differences less that of white noise, in standard errors: negative
-    where the motor oscillates, far above 0 where it only bends; 0 for too few."""
+    """The correlation of neighbouring third differences of the readings less that of white noise, in standard errors:
+    negative where the motor oscillates, far above 0 where its path is smooth but curved. Differences beyond _OF_NOISE
+    standard deviations of the noise, which are turns, count as so large. 0 for fewer than _FEWEST differences."""
     factors, third = third_differences(motor.t_s, motor.q)
     if len(third) < _FEWEST:
         return 0.0
     most = _OF_NOISE * reading_noise(motor)
     third = np.clip(third, -most, most)
     together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
+    # The correlation that white noise has: neighbouring differences have three of their four readings in common.
     of_noise = float(np.mean(np.sum(factors[:-1, 1:] * factors[1:, :-1], axis=1)))
     return float((together - of_noise) * np.sqrt(len(third)))
 
@@ -233,7 +235,8 @@ def _kept(
     kept: WeakKeyDictionary[Motor, dict[float, Kept]], motor: Motor, resolution: float,
     make: Callable[[Motor, float], Kept],
 ) -> Kept:  # fmt: skip
-    """What `make` makes of a motor at an encoder's resolution, which is kept as long as the motor is."""
+    """Returns what `make` makes of a motor at an encoder's resolution, the motor's unit: the first time it is made, and
+    put into `kept` for as long as the motor lives; then it is taken from there."""
     known = kept.setdefault(motor, {})
     if resolution not in known:
         known[resolution] = make(motor, resolution)
@@ -293,17 +296,17 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
     fine = steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count
     if fine and _stops_of(motor, resolution).slows_down:
-        return _through(motor, steps, order=3)
+        return _posterior_from_counts(motor, steps, order=3)
     lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:
         return None
-    return _through(motor, steps, order=2)
+    return _posterior_from_counts(motor, steps, order=2)
 
 
-def _through(motor: Motor, steps: Steps, order: int) -> Driven:
-    """The posterior by whole counts, of the order that `Driven` has: what is written and read again is the same to the
-    last bit."""
+def _posterior_from_counts(motor: Motor, steps: Steps, order: int) -> Driven:
+    """The posterior of the motor's path, unit of q, from its readings as whole counts. As these are integers, a log
+    that was written and read again gives the same path to the last bit. order: as `Driven.order`, 2 or 3."""
     path = driven(motor.t_s, steps.counts, 1.0, rounded=True, order=order)
     count = steps.count
     return replace(path, q=steps.zero + count * path.q, sigma=count * path.sigma, noise=count * path.noise)

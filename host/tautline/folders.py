@@ -24,7 +24,8 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """TautError where no file or folder can be written at `path`, or where its links lead."""
+    """TautError where no file or folder can be written at `path`, or where its links lead. Tries it: makes a temporary
+    folder beside it and removes it."""
     try:
         if is_stream(path):
             return
@@ -32,16 +33,18 @@ def check_writable(path: Path) -> None:
         if os.path.ismount(place):
             raise TautError(f"{path}: is a mount point, whose place nothing can take: name a folder in it")
         there = next(each for each in place.parents if each.exists())
-        with tempfile.TemporaryDirectory(".old", f".{place.name}.", there):  # as long as the names that are written
+        # Its name is as long as those that will be written.
+        with tempfile.TemporaryDirectory(".old", f".{place.name}.", there):
             pass
     except OSError as error:
         raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another place") from error
 
 
 @contextmanager
-def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """A temporary folder to write into, which takes `folder`'s place when the block ends without error. Other files in
-    it are kept, except those that match `stale`, which belong to the earlier result."""
+def replaced_folder(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
+    """Yields a temporary folder to write into, which takes `folder`'s place when the block ends without an error. Other
+    files in `folder` are kept, except those that match `stale` (patterns), which belong to the earlier result.
+    key_file: as in `check_replaceable`."""
     folder = Path(os.path.realpath(folder))  # where it is a link, what it leads to is replaced
     check_replaceable(folder, key_file)
     beside = folder.with_name(f".{folder.name}.{os.getpid()}.new")
@@ -76,9 +79,9 @@ def is_stream(path: Path) -> bool:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to, which takes its place when the block ends without an error; where that is a
-    link, the place of what it leads to."""
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yields a temporary path to write a file to, which takes the place of `path` when the block ends without an error;
+    where that is a link, the place of what it leads to."""
     if path.is_dir():
         raise TautError(f"{path}: is a folder: name a file")
     if is_stream(path):
@@ -99,7 +102,7 @@ def whole(path: Path) -> Iterator[Path]:
 def write_file(path: Path, text: str) -> None:
     """Writes text into a file, whole or not at all. A device or a pipe is written into as it is."""
     if not is_stream(path):
-        with whole(path) as temporary:
+        with whole_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="")
         return
     try:
@@ -109,9 +112,9 @@ def write_file(path: Path, text: str) -> None:
 
 
 def _not_written(place: Path, kind: str, error: OSError, *others: Path) -> TautError:
-    """The error to raise where the system refused something while `place` was written, a "file" or a "folder" by
-    `kind`. It names `place` if what was refused is in it, holds it, or is one of `others`, which are temporary; else
-    the file that was refused, such as one that could not be read to be copied."""
+    """The error to raise where the system refused something while `place` was written. It names `place` if the path
+    that was refused lies in it, above it or in one of `others`, the temporary paths; else it has the system's message,
+    as for a file that could not be read to be copied. kind: "file" or "folder", which `place` is."""
     refused = Path(error.filename).resolve() if isinstance(error.filename, str) else None
     own = [each.resolve() for each in (place, *others)]
     if refused is None or any(refused.is_relative_to(each) or each.is_relative_to(refused) for each in own):
@@ -120,8 +123,8 @@ def _not_written(place: Path, kind: str, error: OSError, *others: Path) -> TautE
 
 
 @contextmanager
-def unpacked(files: Mapping[str, bytes]) -> Iterator[Path]:
-    """A temporary folder with these files, by their paths in it."""
+def unpacked_folder(files: Mapping[str, bytes]) -> Iterator[Path]:
+    """Yields a temporary folder that holds these files, each content by its path in the folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for path, content in files.items():

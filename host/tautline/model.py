@@ -65,7 +65,7 @@ class Deviation:
 
     @classmethod
     def of(cls, model: Model) -> Self:
-        """The tables, delay and effects of `model`, in which the unknowns are off."""
+        """Takes the tables, delay and effects of a model whose unknowns have been moved off its best ones."""
         return cls(model.width, model.c_deg, model.delay_s, model.effects)
 
     def to_json(self) -> dict[str, Any]:
@@ -256,7 +256,7 @@ class Model(Value):
             friction = None if document.get("friction") is None else Friction.from_json(document["friction"])
             sensor = document.get("sensor")
             place = None if document.get("place") is None else Place.from_json(document["place"])
-            uncertainty = Uncertainty.from_json(document.get("uncertainty") or _of_before(extra), len(q))
+            uncertainty = Uncertainty.from_json(document.get("uncertainty") or _uncertainty_of_old_model(extra), len(q))
             load_mNm = float(document.get("load_reference_mNm", extra.get("load_reference_mNm", 0.0)))
             source = document.get("simulator", extra.get("simulator"))
             simulator = None if source is None else dict(source)
@@ -326,8 +326,9 @@ def _document(folder: Path) -> dict[str, Any]:
     return document
 
 
-def _of_before(extra: Mapping[str, Any]) -> dict[str, Any]:
-    """The uncertainty of a model that was written before 2026-11-27, when it stood among what the report shows."""
+def _uncertainty_of_old_model(extra: Mapping[str, Any]) -> dict[str, Any]:
+    """The uncertainty, as Uncertainty.from_json takes it, of a model that was written before 2026-11-27: then it stood
+    in `extra`, among what the report shows."""
     evidence, by_delay = extra.get("evidence", {}), extra.get("width_by_delay")
     rms = [value for name in ("residual", "error") if (value := evidence.get(name)) is not None and value > 0.0]
     if by_delay is not None and None in by_delay:  # not known everywhere

@@ -300,7 +300,8 @@ def times_of(
     model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
 ) -> Times:
     """The times at which to predict: `file`'s column t_s; else those of marker.csv, else angle.csv, else a video's
-    frames.csv, else one per frame period from motor t[0] + delay on (per motor sample without a camera)."""
+    frames.csv, else one per frame period from motor t[0] + delay on (per motor sample without a camera). A camera on
+    the tip counts as the angle sensor. warnings: gets a line where the file's last line was cut."""
     rig = model.rig
     for path, delay_s in (
         (file, model.delay_s),

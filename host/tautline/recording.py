@@ -15,7 +15,7 @@ import pandas as pd
 from tautline import layouts
 from tautline.columns import Columns, read_columns
 from tautline.errors import TautError
-from tautline.folders import replaced
+from tautline.folders import replaced_folder
 from tautline.rig import RIG_FILE, Rig
 from tautline.value import Value, same
 
@@ -300,7 +300,7 @@ def save(recording: Recording, folder: str | Path) -> None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
     if (video := recording.video) is not None and f"video{video.path.suffix}" not in VIDEO_NAMES:
         raise TautError(f"{video.path}: a recording's video is a {' or '.join(VIDEO_NAMES)}: convert it")
-    with replaced(Path(folder), layouts.MOTOR.file, stale=FILES) as target:
+    with replaced_folder(Path(folder), layouts.MOTOR.file, stale=FILES) as target:
         motor, unit = recording.motor, recording.rig.actuator.unit
         recording.rig.save(target / RIG_FILE)
         _write(

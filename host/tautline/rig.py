@@ -300,7 +300,8 @@ class Rig:
 
     @property
     def has_camera(self) -> bool:
-        """Whether it has a camera that sees the tip, and not the world from it."""
+        """Whether a camera sees the tip. One that sits on the tip and sees the world is an angle sensor instead
+        (`sees_from_tip`): the rig then has a `camera`, but this is False."""
         return self.camera is not None and not self.sees_from_tip
 
     @property

@@ -15,7 +15,7 @@ from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model, interpolate
 from tautline.rig import MARKER, Rig
-from tautline.undone import COUNT, DEG, INT32_MAX, Joint, Section, undone
+from tautline.undone import COUNT, DEG, INT32_MAX, Joint, Section, tables_and_sections
 
 KINDS: dict[str, int] = _native.AXIS_KINDS
 _KIND_NAMES = {value: name for name, value in KINDS.items()}
@@ -92,7 +92,7 @@ class Table:
 def model_id(model: Model, joints: Mapping[str, Joint] | None = None) -> bytes:
     """8 bytes by a hash over B, elements, f, delay, actuator and the effects that the tables undo. joints: as of
     `encode`."""
-    model, sections = undone(model, joints)
+    model, sections = tables_and_sections(model, joints)
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
     shares = () if model.elements.single else (model.elements.width, model.elements.weight)
@@ -126,7 +126,7 @@ def encode(
     if model.simulator is not None:
         raise TautError("a model that begins with a simulator is over its tip, not the motor: calibrate for tables")
     identity = model_id(model, joints)
-    model, sections = undone(model, joints)
+    model, sections = tables_and_sections(model, joints)
     rig = model.rig
     limits = limits or Limits.of(rig)
     if limits.adapt is not None:

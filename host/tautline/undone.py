@@ -60,11 +60,12 @@ def in_words(remains: Iterable[str]) -> str:
 
 
 def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
-    """Ids of the model's effects that its tables cannot undo, or not everywhere (_WHERE); joints: as in `undone`."""
+    """Ids of the model's effects that its tables cannot undo, or not everywhere (_WHERE); joints: as in
+    `tables_and_sections`."""
     from tautline.effects import BY_ID, of_this_version
 
     ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
-    if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
+    if any(effect.id == COUPLED for effect in model.effects) and "joints" not in tables_and_sections(model, joints)[1]:
         ids.append(COUPLED)
     return ids
 
@@ -85,15 +86,17 @@ def _nearest(q: bytes, width: bytes, hysteresis: Hysteresis, low: float, high: f
     return nearest_plays(np.frombuffer(q), np.frombuffer(width), hysteresis, (low, high))
 
 
-def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
-    """The model whose own tables hold a gradual onset, and the sections that undo its other effects. What the board
-    cannot undo is left out; `joints` says which axes move the columns that couple in."""
+def tables_and_sections(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
+    """Returns the model that a board's own tables hold, and the sections, by name, that undo its other effects. In that
+    model plays stand for a hysteresis that no table holds (`stands_in`), or else for a gradual onset. Effects that the
+    board cannot undo have no section (`not_undone` names them), nor has one in which all numbers are 0. joints: by
+    column of motor.csv that couples in, the axis of the board that moves it."""
     parameters = parameters_of(model)
     if (near := stands_in(model)) is not None:
         model = replace(model, elements=near.elements, friction=None)
     elif onset := parameters.get("transmission.smooth_onset"):
         model = replace(model, elements=onset_elements(model.elements, onset))
-    count = model.rig.actuator.encoder_resolution / COUNT
+    count = model.rig.actuator.encoder_resolution / COUNT  # unit of q per Q8 count
     sections: dict[str, Section] = {}
     if encoder := parameters.get("actuator.encoder_periodic"):
         sections["encoder"] = _encoder_section(encoder, count)

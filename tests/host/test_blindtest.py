@@ -374,7 +374,7 @@ def test_a_baseline_that_is_left_out_for_want_of_its_package_is_told(tmp_path, s
 
 
 def calibrated(files, left_out=()):
-    with work.unpacked(files) as folder:
+    with work.unpacked_folder(files) as folder:
         rig, recordings = work.recordings_of(folder)
         model = calibrate(recordings[:1], rig).model
         for name in ("nominal", "corrected"):

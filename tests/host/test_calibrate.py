@@ -15,7 +15,7 @@ from tautline.calibration.calibrate import calibrate
 from tautline.calibration.choice import JOINT, ONSETS
 from tautline.calibration.observations import observe
 from tautline.calibration.options import Options
-from tautline.calibration.remaining import morphological
+from tautline.calibration.remaining import fit_morphologically
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError
@@ -404,5 +404,5 @@ def test_the_papers_picture_joins_no_recording_to_the_next():
     bent = [
         replace(r, angle=replace(r.angle, c_deg=0.1 * r.angle.c_deg + 40.0 * (r.angle.c_deg / 40.0) ** 3)) for r in made
     ]
-    one, two = (morphological(observe(some_of, JOINT_RIG), JOINT_RIG, grid, 0.0) for some_of in (bent[:1], bent))
+    one, two = (fit_morphologically(observe(some_of, JOINT_RIG), JOINT_RIG, grid, 0.0) for some_of in (bent[:1], bent))
     assert np.abs(one.c_deg - two.c_deg)[np.abs(grid) < 32.0].max() < 0.1

@@ -409,7 +409,7 @@ def test_a_fit_that_ends_behind_the_camera_is_no_hypothesis(monkeypatch):
     search = Search(
         fitter, base, [effects.BY_ID["transmission.lag"], effects.BY_ID["camera.distortion"]], lambda text: None
     )
-    whole = Fitter.finished
+    whole = Fitter.finish
 
     def lost(self, begun):
         fit = whole(self, begun)
@@ -417,7 +417,7 @@ def test_a_fit_that_ends_behind_the_camera_is_no_hypothesis(monkeypatch):
             fit.residuals[0][3] = np.nan
         return fit
 
-    monkeypatch.setattr(Fitter, "finished", lost)
+    monkeypatch.setattr(Fitter, "finish", lost)
     assert [found.ids for found in search.on_top_of(search.base, 2, 0)] == [("transmission.lag",)]
 
 

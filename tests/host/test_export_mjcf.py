@@ -21,7 +21,7 @@ from tautline.elements import SINGLE, Elements
 from tautline.geometry import project
 from tautline.io.exporting.export import Mount
 from tautline.io.exporting.mjcf import chain, folder
-from tautline.io.exporting.mjcf.nominal import Nominal, look
+from tautline.io.exporting.mjcf.nominal import Nominal, read_nominal
 from tautline.io.exporting.mjcf.scene import Law
 from tautline.io.exporting.mjcf.transmission import Transmission
 from tautline.model import Effect, Model
@@ -219,7 +219,7 @@ def test_meshes_are_found_from_the_new_folder(tmp_path: Path) -> None:
     x = np.linspace(-5.0, 5.0, 11)
     straight, wide = chain.fit(x, 0.2 * x, 1e-9), chain.fit(x, 0.3 + 0.0 * x, 1e-9)
     law = Law(0.0, 10.0, 0.2, wide, chain.Sum((straight,)), 0.0, 0.08)
-    nominal = look(Mount(own, "A", "joint:J"), "mm", (-5.0, 5.0), 0.2 * x)
+    nominal = read_nominal(Mount(own, "A", "joint:J"), "mm", (-5.0, 5.0), 0.2 * x)
     out = tmp_path / "elsewhere" / "out"
     out.mkdir(parents=True)
     for name, scene in folder.scenes(nominal, law, out).items():

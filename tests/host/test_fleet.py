@@ -24,7 +24,7 @@ from tautline.fleet import page, prior, sessions
 from tautline.fleet.changes import with_changes
 from tautline.fleet.findings import findings
 from tautline.fleet.population import _UNTOLD as UNTOLD
-from tautline.fleet.population import Curves, log_widths, population, single
+from tautline.fleet.population import Curves, log_widths, population, population_of_single_value
 from tautline.fleet.rows import DATA_SET, DataSet, Row
 from tautline.fleet.run import run
 from tautline.geometry import project
@@ -457,7 +457,7 @@ def test_a_delay_is_spread_as_the_robots_are_and_not_as_their_sessions_err(sprea
     """In sessions' errors. Of 60 robots' excess variance sqrt(2 / 60) = .18 is not told, a spread of .43: none at all
     stays one of about that."""
     rng = np.random.default_rng(8)
-    found = [single(late_by(rng, spread * LATE_SIGMA, 60, 3)) for _ in range(6)]
+    found = [population_of_single_value(late_by(rng, spread * LATE_SIGMA, 60, 3)) for _ in range(6)]
     scale = np.sqrt(np.mean([known.scale[0, 0] for known in found])) / LATE_SIGMA
     assert least < scale < most
     nine_in_ten = scipy.stats.t.ppf(0.95, found[0].freedom)
@@ -470,7 +470,7 @@ def test_a_camera_of_another_delay_is_no_usual_one_and_hides_none():
     """One robot in 60 that is 5 ms later leaves the others' spread; its own calibration is hardly held by that."""
     seen = late_by(np.random.default_rng(9), 0.0, 60, 3)
     seen.value[:3] += 5e-3
-    found = single(seen)
+    found = population_of_single_value(seen)
     assert np.sqrt(found.scale[0, 0]) < 0.7 * LATE_SIGMA
     known = Beforehand(Spread(PLACES, np.zeros(33), SCALE, 4.0), (), Spread(found.q, found.mean, found.scale, 4.0))
     pull = abs(known.of_delay(0.035)[1][0])
@@ -491,7 +491,7 @@ def known_fleet():
 
     width = learnt(np.log([each.backlash(PLACES) for each in made]), 0.002, of_next=True)
     path = np.array([project(rig, each.bend(PLACES)) for each in made])
-    late = single(late_by(rng, 0.0, 1000, 1, rig.delay_s))
+    late = population_of_single_value(late_by(rng, 0.0, 1000, 1, rig.delay_s))
     delay = Spread(late.q, late.mean, late.scale, late.freedom)
     return Beforehand(width, tuple(learnt(path[:, :, k], 0.014) for k in range(2)), delay)
 

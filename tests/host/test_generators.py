@@ -156,7 +156,7 @@ def test_a_case_of_angles_goes_through_sealing_and_scoring():
     mechanism()
     visible, opened = work.make_case(9, "none", (), "salt", "mujoco.coupled")
     assert "calibration/angle.csv" in visible and "test-1/motor.csv" in visible and "label.json" in opened
-    with work.unpacked(visible) as folder:
+    with work.unpacked_folder(visible) as folder:
         rig, recordings = work.recordings_of(folder)
         found = calibrate(recordings[:1], rig).model
         noise = json.loads(opened["label.json"])["label"]["noise_px"]

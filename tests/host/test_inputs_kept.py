@@ -10,7 +10,7 @@ import pytest
 import tautline as tl
 from tautline.cli._outputs import check_no_input
 from tautline.errors import TautError
-from tautline.folders import whole, write_file
+from tautline.folders import whole_file, write_file
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.reports.evidence import settled
@@ -29,7 +29,7 @@ def test_a_file_is_written_into_what_its_link_leads_to(tmp_path):
     link.symlink_to(tmp_path / "target.csv")
     write_file(link, "1\n")
     assert link.is_symlink() and (tmp_path / "target.csv").read_text() == "1\n"
-    with whole(link) as file:
+    with whole_file(link) as file:
         file.write_text("2\n")
     assert link.is_symlink() and (tmp_path / "target.csv").read_text() == "2\n"
 
@@ -43,7 +43,7 @@ def test_a_pipe_stays_one(tmp_path):
     write_file(pipe, "row\n")
     reader.join(10.0)
     assert read == ["row\n"] and pipe.is_fifo()
-    with pytest.raises(TautError, match="pipe"), whole(pipe):
+    with pytest.raises(TautError, match="pipe"), whole_file(pipe):
         pass
     assert pipe.is_fifo()
 

@@ -15,7 +15,7 @@ from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.folder import save
 from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown, likeliest
 from tautline.diagnosis.joint_sets import Sets
-from tautline.diagnosis.joint_told import Answer, foretelling, held_out_residuals, improved
+from tautline.diagnosis.joint_told import Answer, answer_to_hand_out, held_out_residuals, with_joint_answer
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import prepare
 from tautline.diagnosis.simulated import diagnose_simulator
@@ -241,7 +241,7 @@ def test_detail_that_slow_motions_showed_is_sure_of_no_quick_one(folder):
     robots = {"tau": 0.08, "gain": 4.0, "behind": ratcheting}
     seen = nominal(SERVO, [robot(folder, 3, speed=15.0, seconds=40.0, **robots)], arms.rig(folder))
     joint = Joint(seen.model, PARAMETERS, prepare(seen.model, seen.calibration, seen.tests, seen.drives)[1:], NOISE_DEG)
-    best = foretelling(Answer.of(joint, joint.fit()))
+    best = answer_to_hand_out(Answer.of(joint, joint.fit()))
     assert best.plainer is not None
     model = best.corrected_model()
     covered = []
@@ -278,7 +278,7 @@ def test_what_is_better_on_blocks_that_were_not_seen_answers(found, answer):
     """Beside a diagnosis that knows the simulator's parameters alone, none of which is a play."""
     left_out = [kind.id for kind in LIBRARY]
     told = diagnose(found.model, found.calibration, found.tests, left_out=left_out, simulated=found)
-    instead_of = improved(told, answer)
+    instead_of = with_joint_answer(told, answer)
     document = instead_of.document
     assert document["verdict"] == "effect" and gap.rms(instead_of.after) < gap.rms(told.after)
     leads = {effect["id"]: effect for effect in document["effects"]}
@@ -288,7 +288,7 @@ def test_what_is_better_on_blocks_that_were_not_seen_answers(found, answer):
     assert total == pytest.approx(1.0)
     assert sum(effect["shrink"] for effect in document["effects"]) == pytest.approx(document["gap"]["shrink"])
     worse = Answer(answer.joint, answer.fitted, answer.sets, [2.0 * left for left in told.after])
-    assert improved(told, worse) is told
+    assert with_joint_answer(told, worse) is told
 
 
 def linear(slopes, y, noise):

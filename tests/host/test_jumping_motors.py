@@ -295,5 +295,5 @@ def test_coarse_counts_that_are_smoothed_leave_their_rounding():
     way = 2.0 * np.abs(np.mod(t_s, 4.0) - 2.0)
     coarse, fine = (Motor(t_s, np.round(way / count) * count) for count in (0.005, 0.001))
     assert white_noise(coarse.t_s, coarse.q) < 1e-9
-    assert encoder.smoothed_away(coarse, 0.005) == pytest.approx(0.005 / np.sqrt(12.0))
-    assert encoder.smoothed_away(fine, 0.001) == 0.0
+    assert encoder.smoothed_noise(coarse, 0.005) == pytest.approx(0.005 / np.sqrt(12.0))
+    assert encoder.smoothed_noise(fine, 0.001) == 0.0

@@ -415,7 +415,7 @@ def test_what_is_not_measured_is_said(recording: Recording, nodes: tuple[float, 
 def test_a_marker_that_is_lost_has_no_place_and_no_angle() -> None:
     lost = Frame(1_000_000, Sighting(np.nan, np.nan, np.nan, np.nan, "no marker of this colour"), None)
     assert shown.Bending(RIG).of(lost) is None
-    document = shown.moment(lost, float("nan"), None)
+    document = shown.frame_document(lost, float("nan"), None)
     assert json.loads(json.dumps(document, allow_nan=False))["lost"] == "no marker of this colour"
     assert document["u_px"] is None and document["q"] is None
 

@@ -12,7 +12,7 @@ from reference_instrument import RIG, saved_model, saved_recording
 
 import tautline as tl
 from tautline.errors import TautError
-from tautline.folders import replaced
+from tautline.folders import replaced_folder
 from tautline.recording import save
 from tautline.reports import figures
 from tautline.rig import Actuator, Coarse, Rig
@@ -158,6 +158,6 @@ def test_a_result_that_is_stopped_while_it_takes_its_place_leaves_the_one_before
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", stopped)
-    with pytest.raises(KeyboardInterrupt), replaced(out, "key") as folder:
+    with pytest.raises(KeyboardInterrupt), replaced_folder(out, "key") as folder:
         (folder / "key").write_text("after")
     assert names(tmp_path) == {"out"} and (out / "key").read_text() == "before"

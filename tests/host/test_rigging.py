@@ -136,6 +136,8 @@ def test_a_motion_makes_a_rig_that_calibrates_as_the_true_one(taut: Taut, tmp_pa
     assert done.code == 0, done.err
     said = json.loads(done.out)
     assert said["hand_eye"]["places"] == 9 and said["hand_eye"]["strays"] < 2.0
+    least_deg, most_deg = said["hand_eye"]["measured_angle_sigma_deg"]
+    assert 0.0 < least_deg < most_deg
     assert (tmp_path / "rig.png").stat().st_size > 10_000
     made = Rig.load(out)
     assert made.coarse.gain * RIG.coarse.gain > 0  # the direction

@@ -11,7 +11,7 @@ from reference_instrument import RIG, moved
 
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import Track, observe, rounding_step
-from tautline.calibration.remaining import posed
+from tautline.calibration.remaining import track_by_pose
 from tautline.calibration.rounding import independence_weights, resting, shared_variance
 
 
@@ -72,7 +72,7 @@ def test_angles_by_the_pose_of_whole_pixels_have_no_step() -> None:
     marker = made.marker
     whole = replace(made, marker=replace(marker, u_px=np.round(marker.u_px), v_px=np.round(marker.v_px)))
     track = observe([whole], RIG)[0]
-    assert track.step == 1.0 and posed(track, RIG, 0.08).step == 0.0
+    assert track.step == 1.0 and track_by_pose(track, RIG, 0.08).step == 0.0
 
 
 @pytest.mark.parametrize(("quantum", "noise", "speed"), [(0.1, 0.005, 20.0), (0.1, 0.0, 30.0), (0.0879, 0.03, 20.0)])

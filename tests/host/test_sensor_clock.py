@@ -346,6 +346,6 @@ def test_a_delay_that_departures_leave_uncertain_is_the_nominal_one(sigma_s: flo
     departing = cast(
         Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width, width_by_delay=None)
     )
-    alone = Measuring._as_uncertain_as_departures(session, joint, departing)
+    alone = Measuring._with_uncertainty_of_departures(session, joint, departing)
     assert alone.delay_sigma == sigma_s
     assert alone.curves.delay_s == (joint.curves.delay_s if own else 0.0)

@@ -469,7 +469,7 @@ def test_a_model_whose_simulator_was_a_function_of_the_session_says_so(folder):
 def test_a_model_whose_simulator_is_damaged_says_so(folder, nominal, damaged, says):
     model = simulated_nominal(nominal, [arms.robot(folder, 0, 2.0)], arms.rig(folder)).model
     with pytest.raises(TautError, match=says):
-        source.opened(replace(model, simulator={**model.simulator, **damaged}))
+        source.open_simulator(replace(model, simulator={**model.simulator, **damaged}))
 
 
 def test_an_unstable_trial_writes_nothing_where_the_user_works(folder, tmp_path, monkeypatch):

@@ -122,7 +122,7 @@ def test_an_mjcf_at_another_step_is_found_again(folder):
     np.testing.assert_array_equal(told, written.tip(run.motor, {}))
     assert np.abs(told - own.tip(run.motor, {})).max() > 0.0
     limit = stepless(own, 0.004)
-    again = source.opened(nominal(limit, [run], arms.rig(folder)).model)
+    again = source.open_simulator(nominal(limit, [run], arms.rig(folder)).model)
     np.testing.assert_array_equal(again.tip(run.motor, {}), limit.tip(run.motor, {}))
     half = own.at_step(0.002).tip(run.motor, {})
     np.testing.assert_array_equal(again.tip(run.motor, {}), 2.0 * half - own.tip(run.motor, {}))

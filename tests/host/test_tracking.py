@@ -51,7 +51,7 @@ def test_the_scatter_is_that_of_the_last_frames_third_differences() -> None:
         scatter.add(value)
     last = z[-403:]
     squares = 400 * white_noise(np.arange(403.0), last) ** 2
-    assert scatter.times == pytest.approx(np.sqrt((20.0 + squares) / 420.0), rel=1e-9)
+    assert scatter.ratio == pytest.approx(np.sqrt((20.0 + squares) / 420.0), rel=1e-9)
 
 
 # The play

@@ -18,7 +18,7 @@ from tautline.effects import BY_ID, follow
 from tautline.model import Effect, Model
 from tautline.recording import Motor
 from tautline.simulated.instrument import reference_rig
-from tautline.undone import COUPLED, Joint, not_undone, onset_elements, undone
+from tautline.undone import COUPLED, Joint, not_undone, onset_elements, tables_and_sections
 
 COUNT = 0.001
 COUNTS = GAIN * COUNT  # deg of a count
@@ -265,7 +265,7 @@ def test_width_gain_and_offset_by_load(width: float, gain: float, offset: float,
 def test_another_axis_moves_the_angle() -> None:
     own = model(0.4, "configuration.axis_coupling", c_per_translation=0.7, c_per_rotation=0.0)
     with_joint = {"translation_mm": Joint(2, 0.002)}
-    assert undone(own)[1] == {} != undone(own, with_joint)[1]
+    assert tables_and_sections(own)[1] == {} != tables_and_sections(own, with_joint)[1]
     t, c = path()
     board = compensator(own, float(c[0]), with_joint)
     c = np.interp(np.arange(0.0, t[-1], 1e-3), t, c)
@@ -430,36 +430,38 @@ def test_a_table_says_after_which_rest_its_sides_begin_anew_and_nothing_where_th
     bare = model(0.4, SIDES, **law)
     once, anew = (model(0.4, SIDES, **law, asymmetry_renewed=renewed) for renewed in (0.0, 1.0))
     assert not_undone(once) == not_undone(anew) == []
-    assert undone(anew)[1] == undone(once)[1] | {"anew": {"rest_us": 50_000}}
+    assert tables_and_sections(anew)[1] == tables_and_sections(once)[1] | {"anew": {"rest_us": 50_000}}
     assert tables.encode(bare, created_s=0) == tables.encode(once, created_s=0)
     assert tables.decode(tables.encode(anew)).sections["anew"] == {"rest_us": 50_000}
     assert tables.model_id(once) != tables.model_id(anew)
-    assert undone(model(0.4, SIDES, asymmetry=1e-9, asymmetry_travel=0.3, asymmetry_renewed=1.0))[1] == {}
+    assert tables_and_sections(model(0.4, SIDES, asymmetry=1e-9, asymmetry_travel=0.3, asymmetry_renewed=1.0))[1] == {}
 
 
 def test_a_table_says_what_is_pressed_and_nothing_where_nothing_is() -> None:
     law, speed = {"asymmetry": 0.1, "asymmetry_travel": 0.3}, {"width_per_speed": 0.05}
     sides, fast = Effect(SIDES, law | {"asymmetry_pressed": 1.5}), Effect(SPEED, speed | {"speed_pressed": 0.25})
     uneven = model(0.4, wave=0.5)
-    both = undone(replace(uneven, effects=(sides, fast)))[1]
+    both = tables_and_sections(replace(uneven, effects=(sides, fast)))[1]
     assert both["pressed"] == {"mean": 400 * 256, "sides_q16": 3 << 15, "speed_q16": 1 << 14}
-    assert undone(replace(uneven, effects=(fast,)))[1]["pressed"]["sides_q16"] == 0
+    assert tables_and_sections(replace(uneven, effects=(fast,)))[1]["pressed"]["sides_q16"] == 0
     assert tables.decode(tables.encode(replace(uneven, effects=(sides, fast)))).sections["pressed"] == both["pressed"]
     bare, alike = (model(0.4, SIDES, **law, **told) for told in ({}, {"asymmetry_pressed": 0.0}))
     assert tables.encode(bare, created_s=0) == tables.encode(alike, created_s=0)
-    assert "pressed" not in undone(model(0.0, SIDES, **law, asymmetry_pressed=1.0))[1]  # without a width nothing is
-    assert undone(model(0.4, SIDES, asymmetry=1e-9, asymmetry_travel=0.3, asymmetry_pressed=1.0))[1] == {}
+    assert (
+        "pressed" not in tables_and_sections(model(0.0, SIDES, **law, asymmetry_pressed=1.0))[1]
+    )  # without a width nothing is
+    assert tables_and_sections(model(0.4, SIDES, asymmetry=1e-9, asymmetry_travel=0.3, asymmetry_pressed=1.0))[1] == {}
 
 
 def test_a_table_says_what_moves_the_motor() -> None:
     v = {"c_per_translation": 0.6, "translation_play": 0.2, "c_per_rotation": 0.0}
     joints = {"translation_mm": Joint(2, 0.002), "rotation_deg": Joint(3, 0.01)}
-    behind, before = (undone(model(0.4, COUPLED, **v, coupled_before=b), joints)[1] for b in (0.0, 1.0))
+    behind, before = (tables_and_sections(model(0.4, COUPLED, **v, coupled_before=b), joints)[1] for b in (0.0, 1.0))
     assert "before" not in behind and before["joints"] == behind["joints"] | {"slope": [0, 0, 0]}
     assert before["before"] == {"slope_q20": [round(0.6 * 0.002 / GAIN / COUNT * 2**20), 0, 0]}
     falling = model(0.4, COUPLED, **v, coupled_before=1.0)
     falling = replace(falling, c_deg=-falling.c_deg)
-    assert undone(falling, joints)[1]["before"]["slope_q20"][0] == -before["before"]["slope_q20"][0]
+    assert tables_and_sections(falling, joints)[1]["before"]["slope_q20"][0] == -before["before"]["slope_q20"][0]
 
 
 def test_what_is_undone_is_said_of_the_effects() -> None:
@@ -474,7 +476,7 @@ def test_what_is_undone_is_said_of_the_effects() -> None:
         "transmission.smooth_onset": {"onset_spread": 0.3},
     }
     for name, parameters in strong.items():
-        own, sections = undone(model(0.4, name, **parameters))
+        own, sections = tables_and_sections(model(0.4, name, **parameters))
         assert BY_ID[name].on_board and (sections or not own.elements.single), name
     for name in ("transmission.stick_slip", "configuration.contact", "configuration.swing", "acquisition.jitter"):
         assert not BY_ID[name].on_board, name

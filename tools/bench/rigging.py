@@ -139,7 +139,7 @@ def once(room: Path, seed: int, places: int, views: int, sigma_deg: float) -> Ou
     truth = json.loads((room / "strokes" / "truth.json").read_text())
     scores = [_score(room, name, seed, truth) for name in ("true", "made")]
     width, remaining, verdicts = zip(*scores, strict=True)
-    return Outcome(seed, width, remaining, max(told["hand_eye"]["angle_sigma_deg"]), verdicts)
+    return Outcome(seed, width, remaining, max(told["hand_eye"]["measured_angle_sigma_deg"]), verdicts)
 
 
 def _given(rig: Rig) -> list[str]:

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis.diagnose import diagnose
 from tautline.errors import TautError
-from tautline.folders import unpacked
+from tautline.folders import unpacked_folder
 from tautline.model import Model
 from tautline.plain import plain
 from tautline.prediction import foretold
@@ -58,7 +58,7 @@ def make_case(
 
 def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
     """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/, its evidence and cost."""
-    with threadpool_limits(1), unpacked(files) as folder:
+    with threadpool_limits(1), unpacked_folder(files) as folder:
         began = time.process_time()
         try:
             rig, recordings = recordings_of(folder)
@@ -83,7 +83,7 @@ def score_case(visible: Files, opened: Files, diagnosis: Files) -> dict[str, Any
     cost = json.loads(diagnosis[COST])
     realised = None
     if document["verdict"] != FAILED:
-        with unpacked({**visible, **opened, **diagnosis}) as folder:
+        with unpacked_folder({**visible, **opened, **diagnosis}) as folder:
             nominal = Model.load(folder / "nominal")
             tests = recordings_of(folder)[1][1:]
             gap = float(np.sqrt(np.mean([foretold(nominal, test, nominal) ** 2 for test in tests])))
@@ -126,7 +126,7 @@ def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequ
         errors[method] = _told(error)
         return Answer((), FAILED, 0.0, names=method not in baselines.SHRINKING)
 
-    with threadpool_limits(1), unpacked({**visible, **opened, **diagnosis}) as folder:
+    with threadpool_limits(1), unpacked_folder({**visible, **opened, **diagnosis}) as folder:
         began = time.process_time()
         try:
             rig, recordings = recordings_of(folder)

@@ -17,7 +17,7 @@ from tautline.calibration.measuring import Measured, Measuring, Progress
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.options import Options
 from tautline.calibration.result import Calibration
-from tautline.calibration.verdict import judged
+from tautline.calibration.verdict import judged_calibration
 from tautline.calibration.worth import PREDICTS
 from tautline.core.session import Session
 from tautline.diagnosis import start
@@ -60,7 +60,7 @@ def calibrate(
             raise TautError("the tip was seen only where the motor steps: move it at a speed, with the tip in view")
         measured = Measuring(aligned, rig, options, say, reasons).run()
         say(0.8, "naming what departs")
-        found = judged(measured)
+        found = judged_calibration(measured)
         if naming and _worth_naming(measured, found):
             aligned, offsets = _aligned_for_naming(tracks, rig, aligned, found)
             told = effect_names.effects_of_diagnosis(
@@ -69,7 +69,7 @@ def calibrate(
             if told is not None:
                 anew = Measuring(aligned, rig, options, lambda share, what: say(0.95 + 0.05 * share, what), reasons)
                 again = anew.run_with_effects(measured, told)
-                found = _with_effects(found, told, None if again is None else judged(again))
+                found = _with_effects(found, told, None if again is None else judged_calibration(again))
         say(1.0, "done")
         return found
 

@@ -36,7 +36,7 @@ from tautline.calibration.place import (
     place_noise,
 )
 from tautline.calibration.playfit import NODES, Curves, Fitted, PlayFit
-from tautline.calibration.remaining import Remaining, fit_remaining, morphological, posed
+from tautline.calibration.remaining import Remaining, fit_morphologically, fit_remaining, track_by_pose
 from tautline.calibration.several import fit_elements, rms_over_noise
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, prepare_tracks
 from tautline.calibration.wandering import allowing_for_wander
@@ -196,7 +196,7 @@ class Measuring(_Setting):
             onsets, curve, joint_fit, passes, like_paper=like_paper, gradual=gradual
         )  # fmt: skip
         if source == JOINT:
-            onsets = _as_uncertain_as_they_scatter(onsets, self.findings.evidence["onsets_against_joint_z2"])
+            onsets = _with_sigma_of_scatter(onsets, self.findings.evidence["onsets_against_joint_z2"])
         self.say(0.75, "fitting f_remain")
         settled_only = joint_fit.fit.settled_only if joint_fit is not None else False
         if joint_fit is not None:
@@ -355,8 +355,8 @@ class Measuring(_Setting):
         return onsets, fit_widths(onsets, self.grid)
 
     def _onsets_at(self, delay: Delay, first: Delay, onsets: list[Onset]) -> tuple[list[Onset], WidthCurve | None]:
-        """Onsets and their curve at the joint fit's delay, given those at the first one: found anew where the delay
-        changed by more than _LATER of a frame's period, else moved."""
+        """Onsets and the curve of B through them at the joint fit's `delay`. `onsets` were found at the delay `first`:
+        they are found anew where the two differ by more than _LATER of a frame's period, else moved."""
         later_s = delay.delay_s - first.delay_s
         if abs(later_s) > _LATER * period_s(self.tracks):
             return self._onsets(delay)
@@ -375,7 +375,7 @@ class Measuring(_Setting):
         self.findings.notes.append(
             "translation or rotation move most of the time: B(q) rests on the pose, as right as camera and hand_eye are"
         )
-        return [posed(track, self.rig, delay_s) for track in self.tracks]
+        return [track_by_pose(track, self.rig, delay_s) for track in self.tracks]
 
     def _fit_jointly(
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
@@ -416,7 +416,7 @@ class Measuring(_Setting):
             self.findings.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
         joint_fit = allowing_for_place(joint_fit, noise)
         self.findings.evidence["residual_before_components"] = joint_fit.scale
-        joint_fit, components = self._separated(joint_fit, noise)
+        joint_fit, components = self._separate_components(joint_fit, noise)
         if self.options.elements == "auto" and not image_jumps(onsets):
             joint_fit, components = self._with_hysteresis(joint_fit, components)
         self.components = components
@@ -433,7 +433,7 @@ class Measuring(_Setting):
             self.findings.evidence["residual_alone"] = alone
             return apart
         self.findings.evidence["residual_alone"] = joint_fit.scale
-        return self._as_uncertain_as_departures(joint_fit, components)
+        return self._with_uncertainty_of_departures(joint_fit, components)
 
     def _with_hysteresis(self, joint_fit: Fitted, components: Components) -> tuple[Fitted, Components]:
         """The joint fit and its components with several elements or friction, which becomes `hysteresis`, where the tip
@@ -447,7 +447,7 @@ class Measuring(_Setting):
         spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
         return several.fitted, replace(components, sigma=np.hypot(components.sigma, spread))
 
-    def _separated(self, joint_fit: Fitted, noise: PlaceNoise | None) -> tuple[Fitted, Components]:
+    def _separate_components(self, joint_fit: Fitted, noise: PlaceNoise | None) -> tuple[Fitted, Components]:
         """The joint fit and its components. Where these leave more than the stated noise, and that is no error of the
         tracker's, both are made once more with curves that bend only for independent frames, and taken if they leave no
         more: if they do, it is B's shape, and would be taken for what departs. noise: `place_noise`, None unknown."""
@@ -459,9 +459,10 @@ class Measuring(_Setting):
                 return smoother, again
         return joint_fit, components
 
-    def _as_uncertain_as_departures(self, joint_fit: Fitted, components: Components) -> Fitted:
-        """The joint fit as it is, with what the departures would change of B in its sigma. An angle sensor's delay
-        becomes the nominal one where it is off that by less than the departures leave it uncertain."""
+    def _with_uncertainty_of_departures(self, joint_fit: Fitted, components: Components) -> Fitted:
+        """The joint fit, without the departures, with how much they would change B added to B's sigma. An angle
+        sensor's delay becomes the nominal one, and all is fitted anew with that, if the two differ by less than the
+        delay's sigma, the larger of the departures' and the joint fit's."""
         delay_sigma = max(components.delay_sigma, joint_fit.delay_sigma)
         near_nominal = abs(joint_fit.curves.delay_s - self.nominal_s) < delay_sigma
         if not self.framed and joint_fit.fit.fit_delay and near_nominal:
@@ -498,8 +499,8 @@ class Measuring(_Setting):
     # ---- f_remain
 
     def _find_place(self, joint_fit: Fitted) -> None:
-        """Estimates where on a bare tip the place lies that was shown and followed instead of a marker; the rig has it
-        from here on."""
+        """Sets the rig's `place`: where on a bare tip the place lies that was shown and followed instead of a marker.
+        Leaves the rig as it is with a marker, or where the tracks follow different places."""
         shown = self.tracks[0].shown
         if shown is not None and all(track.shown == shown for track in self.tracks):
             self.rig = replace(self.rig, place=place_on_tip(joint_fit, self.rig, shown))
@@ -508,7 +509,7 @@ class Measuring(_Setting):
         """f_remain by the way that the options say, with B width (grid,) and the delay, s, held; None where the tip was
         hardly seen to move. settled_only: frames before the tip was driven both ways do not count."""
         if self.options.remaining == "morphological":
-            curves = morphological(self.tracks, self.rig, self.grid, delay_s)
+            curves = fit_morphologically(self.tracks, self.rig, self.grid, delay_s)
             if curves is not None:
                 return curves
             self.findings.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
@@ -519,9 +520,10 @@ class Measuring(_Setting):
         )  # fmt: skip
 
 
-def _as_uncertain_as_they_scatter(onsets: Sequence[Onset], z2: float) -> list[Onset]:
-    """The onsets, hinges' sigmas times the root of z2, their mean squared z against the joint fit's B, from 1 to
-    _MOST_Z2: that is so much sharper that their scatter about it is their own."""
+def _with_sigma_of_scatter(onsets: Sequence[Onset], z2: float) -> list[Onset]:
+    """The onsets, with the sigmas of the hinges that are used multiplied by sqrt(z2), so that they explain the onsets'
+    scatter about the joint fit's B: that is so much sharper that the scatter is the onsets' own. z2: mean squared
+    difference from that B, in sigmas; it counts as from 1 to _MOST_Z2."""
     spread = float(np.sqrt(np.clip(z2, 1.0, _MOST_Z2)))
     return [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
 

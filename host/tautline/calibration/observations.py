@@ -14,7 +14,7 @@ from tautline.calibration.sway import play_paths, probability_of_rest
 from tautline.core.motor import MotorPath
 from tautline.core.samples import FEW, even_runs, least_noise, least_step, noise_of, repeats, rounding_step, strays
 from tautline.core.session import SessionClock
-from tautline.encoder import reading_noise, smoothed_away
+from tautline.encoder import reading_noise, smoothed_noise
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording, Shown
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -138,7 +138,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
         noise = reading_noise(recording.motor)
-        noise = max(noise if noise > resolution else 0.0, smoothed_away(recording.motor, resolution))
+        noise = max(noise if noise > resolution else 0.0, smoothed_noise(recording.motor, resolution))
         path = MotorPath.closely(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:

@@ -70,7 +70,7 @@ def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
     return pose(rig, track.y, *track.others_at(track.scene_s(delay_s)))[0]
 
 
-def posed(track: Track, rig: Rig, delay_s: float) -> Track:
+def track_by_pose(track: Track, rig: Rig, delay_s: float) -> Track:
     """A marker's track as bending angles by pose, with the image's noise divided by the projection's slope; frames
     whose image hardly moves with the angle are left out. What other degrees of freedom move is taken out, as exactly as
     camera, hand_eye and kinematics are."""
@@ -127,10 +127,10 @@ def fit_remaining(
     fitted = as_many_as_independent(fit.solve(start))
     counted = np.concatenate([s.tip[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
     curve = basis.value(fitted.curves.follow[:, 0], grid)
-    curve = carried_on(curve, grid, float(counted.min()), float(counted.max()))
+    curve = with_straight_ends(curve, grid, float(counted.min()), float(counted.max()))
     lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
     changed = np.where((grid >= p.min()) & (grid <= p.max()), np.abs(lawful - curve), 0.0)
-    notes = (_turns_back(grid, changed, rig.actuator.unit),) if changed.max() > _ODD * np.ptp(curve) else ()
+    notes = (_note_on_turning_back(grid, changed, rig.actuator.unit),) if changed.max() > _ODD * np.ptp(curve) else ()
     variance = _variance(fitted, grid, shared, lawful - curve)
     px = float(np.hypot(max(track.tracked_px for track in tracks), _beside_the_path_px(fitted)))
     sigma = np.hypot(np.sqrt(variance), tracked_deg(px, rig, lawful))
@@ -145,8 +145,9 @@ def _curve_through(basis: Basis, p: Array, c: Array) -> Array:
     return np.asarray(np.linalg.solve(system, design.T @ c))
 
 
-def _turns_back(grid: Array, changed: Array, unit: str) -> str:
-    """The note that f_remain turned back, where it was changed by more than half of the most; changed (grid,), deg."""
+def _note_on_turning_back(grid: Array, changed: Array, unit: str) -> str:
+    """The note that f_remain turned back, and between which positions: where it was changed by more than half of the
+    most. changed (grid,): by how much it was changed so that it rises or falls everywhere, deg."""
     low, high = grid[changed > 0.5 * changed.max()][[0, -1]]
     return (
         f"f_remain turns back between {low:.3g} and {high:.3g} {unit}, by {changed.max():.2g} deg: "
@@ -161,11 +162,11 @@ def _variance(fitted: Fitted, grid: Array, shared: Sequence[Array], changed: Arr
     design = fitted.fit.follow.design(grid).toarray()
     variance = np.maximum(np.sum((design @ fitted.covariance[:size, :size]) * design, axis=1), 0.0) + changed**2
     if shared:
-        variance += np.sum((design @ _moved_by(fitted, shared)[:size]) ** 2, axis=1)
+        variance += np.sum((design @ _change_of_solution(fitted, shared)[:size]) ** 2, axis=1)
     return np.asarray(variance)
 
 
-def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
+def with_straight_ends(curve: Array, grid: Array, low: float, high: float) -> Array:
     """The curve (grid,) with straight ends beyond [low, high], the positions that were reached, with its mean slope
     over the share _END of them at that end: a spline says nothing of where no data are."""
     end = _END * (high - low)
@@ -175,9 +176,9 @@ def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
     return np.where(grid < low, below, np.where(grid > high, above, curve))
 
 
-def _moved_by(fitted: Fitted, errors: Sequence[Array]) -> Array:
-    """(unknowns, m) by how much each of m errors of the frames, by track (n, channels, m), sensor's unit, moves the
-    solution, to first order."""
+def _change_of_solution(fitted: Fitted, errors: Sequence[Array]) -> Array:
+    """(unknowns, m) The change of the fit's solution, to first order, by each of m errors of the frames. errors: of
+    each track (n, channels, m), sensor's unit."""
     fit, curves = fitted.fit, fitted.curves
     over_noise = [each / prepared.track.sigma[:, None, None] for each, prepared in zip(errors, fit.tracks, strict=True)]
     system, gradients = fit.penalty(curves, fitted.scale)[0], []
@@ -188,11 +189,12 @@ def _moved_by(fitted: Fitted, errors: Sequence[Array]) -> Array:
 
 
 def _beside_the_path_px(fitted: Fitted) -> float:
-    """How far, px, the marker goes beside the path that the rig has for it: the rms, over _PARTS equal parts of the
-    range, of a part's mean distance across that path, less what noise leaves of it. Camera, hand_eye and kinematics are
-    wrong by so much, along the path too as far as anyone knows, where f_remain took it in. 0 for an angle sensor."""
+    """Systematic error of camera, hand_eye and kinematics, px, as the marker shows it beside the path that the rig has
+    for it: the rms over _PARTS equal parts of the range, of those with _FEW frames or more, of the weighted mean
+    distance across that path, less the variance of these means. Only across the path does such an error show; along it
+    f_remain takes it in, and the same size is assumed there. 0 for an angle sensor."""
     fit = fitted.fit
-    if fit.view is None:
+    if fit.view is None:  # an angle sensor
         return 0.0
     rows = []
     for prepared, sim, off, own in zip(fit.tracks, fit.simulated, fitted.residuals, fitted.weights, strict=True):
@@ -207,13 +209,15 @@ def _beside_the_path_px(fitted: Fitted) -> float:
     told = np.bincount(part, minlength=_PARTS) >= _FEW
     if not told.any():
         return 0.0
-    mean, frames = first[told] / weights[told], weights[told] ** 2 / squared[told]  # frames of even weight
-    of_noise = np.maximum(second[told] / weights[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)
+    mean = first[told] / weights[told]
+    frames = weights[told] ** 2 / squared[told]  # effective number of frames: (sum w)^2 / sum w^2
+    of_noise = np.maximum(second[told] / weights[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)  # of each mean
     return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
 
 
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
-    """rms residual per coordinate, px or deg, outliers over their noise cut at _STRAY medians; 0 without frames."""
+    """rms residual per coordinate, px or deg, of the frames that count; a frame's residual over its noise is cut at
+    _STRAY times the median one. 0 without frames."""
     off = np.concatenate(
         [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(fitted.residuals, fitted.masks, strict=True)]
     )
@@ -264,7 +268,7 @@ def _median_line(courses: Sequence[Array]) -> tuple[Array, Array]:
     return middle, c.min() + index * np.ptp(c) / (rows - 1)
 
 
-def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
+def fit_morphologically(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
     """f_remain as the median line of the filled characteristic of all frames by pose, smoothed by a spline, as the
     paper does it: what registration gets wrong bends it (paper, Fig. 7). None where that has fewer rows than
     _LINE_ROWS."""

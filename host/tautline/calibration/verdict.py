@@ -45,9 +45,9 @@ class _Extent:
     usual: float  # typical B there, unit of q
 
 
-def judged(found: Measured) -> Calibration:
-    """The calibration that was measured: doubted, B's sigma completed by what no scatter shows, the model, its
-    predictions, verdict and notes."""
+def judged_calibration(found: Measured) -> Calibration:
+    """Makes the calibration of what was measured: adds doubts, completes B's sigma by what no scatter shows, makes the
+    model and its predictions, and judges them: verdict, reasons and notes."""
     doubt_onsets_and_remaining(found)
     doubt_place(found)
     extent = _extent(found)
@@ -85,13 +85,14 @@ def judged(found: Measured) -> Calibration:
 
 
 def _delay_with_tracker_lag(found: Measured) -> Delay:
-    """The delay, its sigma with what a tracker shows a moving tip late by."""
+    """The delay, with a sigma that includes (in quadrature) by how much, s, the tracker shows a moving tip late."""
     delay, lag_s = found.delay, 0.0 if found.components is None else found.components.tracker_lag_s
     return replace(delay, sigma_s=float(np.hypot(delay.sigma_s, lag_s)))
 
 
 def _gaps(found: Measured, model: Model) -> tuple[coverage.Gap, ...]:
-    """Pieces of the range that were never passed both ways, or beyond all turns, which the notes tell."""
+    """Returns the pieces of the range that were never passed both ways or lie beyond all turns, and adds a note on
+    each."""
     joint_fit = found.joint_fit
     apart = None if joint_fit is None else coverage.distance_to_both_ways(joint_fit, found.grid)
     gaps = coverage.gaps(model, apart)
@@ -100,8 +101,8 @@ def _gaps(found: Measured, model: Model) -> tuple[coverage.Gap, ...]:
 
 
 def _predictions(found: Measured, model: Model) -> Worth | None:
-    """What the model predicts of its own recordings, which the evidence tells; None where nothing could be. model: at
-    the delay that the tracks have."""
+    """Returns how well the model predicts its own recordings, and adds that to the evidence and its doubts to the
+    reasons; None where nothing could be predicted. model: at the delay that the tracks have."""
     fit_of_remaining = None if found.remaining is None else found.remaining.fitted
     tracks = [each.track for each in found.ended] or found.tracks
     worth = predictive_worth(model, tracks, found.joint_fit, fit_of_remaining)
@@ -118,10 +119,11 @@ def _predictions(found: Measured, model: Model) -> Worth | None:
 
 
 def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
-    """The reasons for the verdict: good where the model predicts blocks that the fit has not seen to within the noise,
-    with what goes on to change (`holds`), and B is known (judged last). What departs, scatters or is hidden says why it
-    is not, and else is worth knowing. predictions: None where nothing could be predicted; found.sigma: with all that is
-    uncertain."""
+    """Completes the reasons for the verdict. It is good where the model holds, which is where its error on blocks that
+    the fit has not seen, with what goes on to change, is within PREDICTS times the noise, and where B is known
+    (`_doubt_sigma`, last). Held samples, a gradual onset and what departs from the model are doubts where it does not
+    hold, and else mild. Where its error alone is larger and nothing departs or is doubted, a reason says so
+    (`_unexplained`). predictions: None where nothing could be predicted; found.sigma: with all that is uncertain."""
     components, frames = found.components, sum(len(track.t_s) for track in found.tracks)
     predicts = predictions is None or predictions.predicts
     goes_on = 0.0 if components is None else components.late_change  # as far as it came in as long a time
@@ -155,9 +157,10 @@ def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
 
 
 def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
-    """Doubts B where the rms of its sigma is more than KNOWN of it, with a remedy for what most of that is from. Mild
-    if the model holds and the rest is known that well once the delay's part is taken off: together B and delay predict
-    as well as either that is known."""
+    """Adds a doubt of code "coverage" where B is measured at one place only, or where the rms of its sigma, over the
+    typical B, is above KNOWN. The remedy is for the cause of more than half of that variance: the delay, or the law by
+    which B follows the speed; else for too little motion. holds: whether the model predicts. Mild if it does and sigma
+    without the delay's part is within KNOWN: the errors of B and delay go together, and cancel in a prediction."""
     inside, usual, joint_fit = extent.inside, extent.usual, found.joint_fit
     if not inside.any():
         found.findings.doubt(
@@ -183,8 +186,9 @@ def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
 
 
 def _unexplained(found: Measured, predictions: Worth) -> Reason:
-    """Why a model does not predict although nothing departs from it: the paper's f_remain, which leaves more than the
-    noise, the rig's path, or something else."""
+    """The reason to give where a model does not predict although nothing departs from it: the paper's way to f_remain,
+    if that was used; the rig's path in the image, if the fit without that path leaves only noise; else none is
+    known."""
     times = f"{predictions.over_noise:.1f} times the noise"
     joint_fit, remaining = found.joint_fit, found.remaining
     if remaining is not None and remaining.fitted is None:
@@ -198,7 +202,7 @@ def _unexplained(found: Measured, predictions: Worth) -> Reason:
 
 
 def _extent(found: Measured) -> _Extent:
-    """Where B was measured, and its median there."""
+    """Where B was measured, and how large it typically is there."""
     measured = _measured_range(found)
     inside = (found.grid > measured[0]) & (found.grid < measured[1])
     return _Extent(measured, inside, usual_width(found.width[inside], found.domain.span))
@@ -235,7 +239,8 @@ def _complete_sigma(found: Measured, extent: _Extent) -> Array:
 
 
 def _doubt_clock(found: Measured, aligned: clock.AlignedTracks, delay: Delay) -> None:
-    """Doubts a clock that was off and whose offset is not known to _TOLD_S; notes a delay that nothing told."""
+    """Adds a fatal doubt where the sensor's clock was off and its offset is not known to _TOLD_S, and a note where
+    nothing told the delay."""
     if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
         found.findings.doubt(
             "clock.offset",

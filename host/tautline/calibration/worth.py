@@ -102,7 +102,7 @@ def predictive_worth(
         errors = _held_out_errors(fit, curves, residuals, masks, labels)
     masks = _frames_of_tip(fit, curves, errors, masks)
     in_unit = [miss * track.sigma[:, None] for miss, track in zip(errors, tracks, strict=True)]
-    by_coarse = [track.y - _coarse(track, model) for track in tracks]
+    by_coarse = [track.y - _predicted_by_coarse_law(track, model) for track in tracks]
     seen = _counted([track.y for track in tracks], masks)
     return Worth(
         model=bounded_rms(_counted(in_unit, masks)),
@@ -123,9 +123,9 @@ def bounded_rms(off: Array) -> float:
 
 
 def _frames_of_tip(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[Mask]) -> list[Mask]:
-    """The masks without frames whose error is larger than both all of B would move the tip in the image and STRAY
-    times the usual error: these show something else than the tip (another blob, a lost count). The tip moves as it does
-    on average (rms): where a model has it rest it may be what is wrong."""
+    """The masks without the frames that show something else than the tip (another blob, a lost count): their error is
+    larger than STRAY times the usual one, and larger than all of B would move the tip by in the image. There the image
+    is taken to move with the tip at least as much as on average (rms), as a model that lets it rest may be wrong."""
     usual, widest = STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
     kept = []
     for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):
@@ -255,7 +255,7 @@ def _counted(off: Sequence[Array], masks: Sequence[Mask]) -> Array:
     return np.concatenate([each[mask] for each, mask in zip(off, masks, strict=True)])
 
 
-def _coarse(track: Track, model: Model) -> Array:
+def _predicted_by_coarse_law(track: Track, model: Model) -> Array:
     """(n, k) the prediction of each frame by f_coarse alone, without backlash, in the track's unit."""
     scene, coarse = track.scene_s(model.delay_s), model.rig.coarse
     c = coarse.gain * track.motor_at(scene) + coarse.offset
@@ -266,7 +266,8 @@ def _fit_of(
     model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> tuple[PlayFit, Curves]:
     """The model as a PlayFit and its curves: B, f_remain (seen through the projection if the sensor is a camera), delay
-    and effects as spline coefficients and values, with the smoothing and priors of the fits that they are from."""
+    and effects as spline coefficients and values, with the smoothing and priors of the fits that they are from; with a
+    new PlayFit's own where one of the two fits is None."""
     basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
     fit = PlayFit(
         [PreparedTrack.of(track) for track in tracks], basis, basis,

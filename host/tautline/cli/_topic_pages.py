@@ -12,7 +12,7 @@ from tautline import effects, trajectory
 from tautline.effects import Kind
 from tautline.explain.collect import topics
 from tautline.explain.topic import KINDS, Topic
-from tautline.folders import replaced
+from tautline.folders import replaced_folder
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.reports import figures, pages
@@ -29,7 +29,7 @@ def write_all(folder: Path) -> Path:
     """Writes the pages of all topics, and their index, into a folder, all or nothing; returns the path of the index.
     TautError where the folder holds something else."""
     known = topics()
-    with replaced(folder, next(iter(known.values())).file) as target:
+    with replaced_folder(folder, next(iter(known.values())).file) as target:
         for topic in known.values():
             page = {
                 "title": topic.code,

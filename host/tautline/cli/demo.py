@@ -37,7 +37,7 @@ def run(
     trajectory without and with them. Recording, MODEL and report are in `out`. progress: gets the share done, 0 to 1,
     and a word; say: each step's result, a line. Returns the result of `taut demo --json`."""
     from tautline import tables
-    from tautline.folders import check_replaceable, replaced
+    from tautline.folders import check_replaceable, replaced_folder
     from tautline.layouts import MOTOR
     from tautline.live.following import follow_run
     from tautline.live.setup import open_live
@@ -59,7 +59,7 @@ def run(
             f"1  board {board.identity.serial} found over USB/IP: {board.identity.axes} axis, virtual time, "
             f"instrument '{instrument}'"
         )
-        with replaced(recording_folder, MOTOR.file, stale=FILES) as fresh:  # of an earlier demo
+        with replaced_folder(recording_folder, MOTOR.file, stale=FILES) as fresh:  # of an earlier demo
             calibration, reached = calibrate_until(live, fresh, progress=part(0.0, 0.55))
         model, motion = calibration.model, reached.motion
         say(

@@ -20,11 +20,11 @@ from tautline.rigging import (
     HandEyeFit,
     Intrinsics,
     Places,
-    coarse,
+    fit_coarse_law,
     hand_eye,
     intrinsics,
     places_of,
-    read_known,
+    read_known_angles,
 )
 from tautline.rigging import keys as rig_keys
 from tautline.rigging.picture import picture
@@ -144,12 +144,14 @@ def _coarse_in_words(law: Coarse, left_deg: float, unit: str) -> str:
 
 
 def _hand_eye_result(found: HandEyeFit, places: Places) -> dict[str, Any]:
-    """A fitted hand-eye transform's accuracy for JSON. places: that it was fitted to."""
+    """A hand-eye fit's accuracy as JSON: `sigma` of rx ry rz (deg) and x y z (mm); `left_px`, the rms residual per
+    coordinate; `strays`, the rms of all residuals over their stated sigmas; `measured_angle_sigma_deg`, the lowest and
+    the highest sigma of an angle that is measured with this transform; and to how many `places` it was fitted."""
     return {
         "sigma": found.sigma,
         "left_px": found.left_px,
         "strays": found.strays,
-        "angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
+        "measured_angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
         "places": len(places.c_deg),
     }
 
@@ -237,7 +239,7 @@ def _from_known_angles(
     hand-eye transform, the coarse law, and the rms of that law's residual, deg. document: of rig.toml, with the camera
     and kinematics; angles: a CSV of the rests, None: angles.csv in the recording; angle_sigma: of the angles, deg.
     Warns of what is doubtful."""
-    known = read_known(angles or motion / "angles.csv")
+    known = read_known_angles(angles or motion / "angles.csv")
     # Coarse law and hand-eye transform, which are measured below, have to be in a document: any will do.
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")
@@ -247,7 +249,7 @@ def _from_known_angles(
     for text in recording.warnings:
         warn(text)
     places = places_of(recording, known)
-    law, left_deg = coarse(places)
+    law, left_deg = fit_coarse_law(places)
     found = hand_eye(places, so_far.kinematics, so_far.camera, angle_sigma)
     for text in found.doubts:
         warn(text)

@@ -73,7 +73,7 @@ def command(
     Where set-points stop for longer than cmd_timeout the motor comes to rest; Ctrl-C ends with the motor off.
     """
     from tautline.drivers.ros_graph import Graph
-    from tautline.live.in_use import Following, TableMover, beside, load_tables
+    from tautline.live.in_use import Following, TableMover, load_tables, tracking_beside
     from tautline.ros.node import Node
     from tautline.ros.parameters import Parameters
 
@@ -93,7 +93,7 @@ def command(
         if camera is not None:
             warn_tracked_alone(model)
             follows = Following(live, model, mover=TableMover(live), shown=lambda frame, _: node.saw(frame))
-            following = stack.enter_context(beside(follows))
+            following = stack.enter_context(tracking_beside(follows))
         log(f"taut: the node {graph.name} waits for set-points on {graph.topic('servo_jp')}")
         result = node.run(ended, following)
     tracking = None if following is None else following.summary()

@@ -184,7 +184,7 @@ def _open_board(
     for it; with a library and no model, the model is that of the shape that the shaft has now. force: takes an unusable
     model of the library, too."""
     from tautline.device.board import open_board
-    from tautline.live.in_use import Following, TableMover, beside, load_tables
+    from tautline.live.in_use import Following, TableMover, load_tables, tracking_beside
 
     model_of_rig = model if model is not None or library is None else library.first()
     if camera is None or model_of_rig is None:
@@ -208,7 +208,7 @@ def _open_board(
     load_tables(live.board, axis, model)
     warn_tracked_alone(model)
     following = Following(live, model, mover=TableMover(live), library=library)
-    return live.board, stack.enter_context(beside(following))
+    return live.board, stack.enter_context(tracking_beside(following))
 
 
 class _Lines:

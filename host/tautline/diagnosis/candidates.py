@@ -243,7 +243,7 @@ class Search:
         self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
         start = {**below.fit.state.values, **entry.values}
         hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
-        return self.fitter.begun(hypothesis, start, below.fit.state, entry.others)
+        return self.fitter.begin(hypothesis, start, below.fit.state, entry.others)
 
     def _hopeless(self, begun: Sequence[Fit]) -> list[bool]:
         """Of each first fit whether it cannot be the cause if another of them may: of each block one number beyond the
@@ -270,7 +270,7 @@ class Search:
     def _finished(self, entry: Screened, begun: Fit) -> list[Candidate]:
         """[The fit of a screened effect that was begun]; [] where it fails, or where no recording shows its moments or
         its drift."""
-        fit = self.fitter.finished(begun)
+        fit = self.fitter.finish(begun)
         if fit.finite and moments.moments_of(fit):
             fit = moments.refined(self.fitter, fit, self.limits)
         if not (fit.finite and moments.seen_to_happen(self.fitter, fit, self.limits) and self._seen_to_change(fit)):

@@ -165,9 +165,9 @@ class Fitter:
         inset = _INSET * float(ends[1] - ends[0])
         self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)  # deg
 
-    def on(self, segments: Sequence[Segment]) -> Fitter:
-        """A fitter with the same unknowns and priors of other recordings, within the range of these, all as noisy as
-        the tests. What was kept of these recordings is dropped."""
+    def on_recordings(self, segments: Sequence[Segment]) -> Fitter:
+        """A fitter of other recordings, within the range of these and all as noisy as the tests, with the same unknowns
+        and priors. What was kept of these recordings is dropped."""
         other = copy(self)
         other.segments, other.relative_noise, other._linearised = list(segments), [1.0] * len(segments), None
         other.__dict__.pop("_coarse", None)
@@ -208,7 +208,7 @@ class Fitter:
         where that is declared as a share of it."""
         return parameter.scale * parameter.share(self.model.rig.actuator.span)
 
-    def inside(self, parameter: Parameter, value: float) -> float:
+    def clipped(self, parameter: Parameter, value: float) -> float:
         """The value of a parameter, in its own unit, clipped to its range (`Parameter.inside`)."""
         return parameter.inside(value, self.model.rig.actuator.span)
 
@@ -445,10 +445,10 @@ class Fitter:
         start: ParameterState,
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
-        """The best fit of a hypothesis from several starts; arguments as for `begun`."""
-        return self.finished(self.begun(hypothesis, values, start, others))
+        """The best fit of a hypothesis from several starts; arguments as for `begin`."""
+        return self.finish(self.begin(hypothesis, values, start, others))
 
-    def begun(
+    def begin(
         self,
         hypothesis: Hypothesis,
         values: Mapping[str, float],
@@ -471,8 +471,8 @@ class Fitter:
             fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
         return self._best(fits)
 
-    def finished(self, begun: Fit) -> Fit:
-        """A fit that was `begun`, to all observations."""
+    def finish(self, begun: Fit) -> Fit:
+        """Continues a fit that `begin` gave with all observations."""
         return self.descend(begun.hypothesis, begun.state, _FULL_STEPS)
 
     def _best(self, fits: Sequence[Fit]) -> Fit:
@@ -525,7 +525,7 @@ class Fitter:
         static = {name: value + float(move) for (name, value), move in moves}
         values = dict(state.values)
         for slot, change in zip(hypothesis.slots, step[order.effects :], strict=True):
-            value = self.inside(slot.parameter, values[slot.key] + float(change))
+            value = self.clipped(slot.parameter, values[slot.key] + float(change))
             values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
         model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[order.delay]))
         return ParameterState(model, static, values)
@@ -540,7 +540,7 @@ class _Point:
 
     @property
     def residuals(self) -> list[Array]:
-        """(scored, k) of each recording."""
+        """Observed less predicted at this point, (scored, k) of each recording."""
         return [of_segment.residual for of_segment in self.simulated]
 
 
@@ -583,7 +583,7 @@ class _Descent:
         for i, slot in enumerate(self.hypothesis.slots, self.fitter.unknowns.effects):
             value = state.values[slot.key]
             onward = value + float(np.sign(gradient[i])) * _AT_BOUND * self.fitter.scale(slot.parameter)
-            if self.fitter.inside(slot.parameter, onward) == value:
+            if self.fitter.clipped(slot.parameter, onward) == value:
                 ends.append(i)
         return np.array(ends, dtype=np.int64)
 
@@ -611,8 +611,11 @@ class _Descent:
 def _columns_by_tables(
     segment: Segment, state: ParameterState, hypothesis: Hypothesis, row: ScoredRows, into: Array
 ) -> set[int]:
-    """Puts into `into` (scored, k, slots) the derivatives of one recording's prediction by the parameters that change B
-    or f_remain linearly, at `state`, which has `row`; returns these slots' indices."""
+    """Writes into `into` (scored, k, slots) the derivatives of one recording's prediction by those parameters that
+    change B or f_remain linearly, and returns the indices of their slots; the other slots stay as they are. By the
+    chain rule a derivative is that of the prediction by the bending angle (row.by_c), times that of the angle by the
+    curve (row.by_width or row.by_follow), times that of the curve by the parameter, at the centre coordinate row.p for
+    B and at the tip, row.tip, for f_remain. row: the recording linearised at `state`."""
     values, slots = state.at(segment, hypothesis), hypothesis.slots
     found: set[int] = set()
     for kind in hypothesis.kinds:

@@ -8,7 +8,7 @@ from typing import Any
 
 from tautline.diagnosis import motion, page
 from tautline.diagnosis.diagnose import Diagnosis
-from tautline.folders import replaced, write_file
+from tautline.folders import replaced_folder, write_file
 from tautline.plain import plain
 from tautline.reports import pages
 from tautline.trajectory import NEXT_FILE
@@ -18,7 +18,7 @@ DOCUMENT = "diagnosis.json"
 
 def save(diagnosis: Diagnosis, out: Path) -> None:
     """Writes the whole folder `out`, or nothing of it. Raises TautError where it cannot be written."""
-    with replaced(out, DOCUMENT) as folder:
+    with replaced_folder(out, DOCUMENT) as folder:
         for name, model in (("nominal", diagnosis.nominal), ("corrected", diagnosis.corrected)):
             model.save(folder / name)
             pages.write(model, folder / name, None, name)

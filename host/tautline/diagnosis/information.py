@@ -62,7 +62,7 @@ class Outlook:
         """fitter: of the recordings so far. planned: whose `observed` does not count, only times and motors. weight:
         how many of the sensor's observations one of `planned` stands for."""
         self.rivals = rivals
-        fits, ahead = rivals.fits, fitter.on(planned)
+        fits, ahead = rivals.fits, fitter.on_recordings(planned)
         known = [self._known(fitter, fit) for fit in fits]
         rows = [ahead.linearised(fit) for fit in fits]
         size = len(fits)

@@ -36,7 +36,7 @@ class Answer:
 
     @classmethod
     def of(cls, joint: Joint, fitted: Fitted) -> Answer:
-        """With the sets' posterior and the held-out residuals of a joint fit."""
+        """Makes the answer of a joint fit: adds the posterior of the sets of unknowns and the held-out residuals."""
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
@@ -148,7 +148,7 @@ def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
     return result
 
 
-def improved(diagnosis: Diagnosis, answer: Answer) -> Diagnosis:
+def with_joint_answer(diagnosis: Diagnosis, answer: Answer) -> Diagnosis:
     """The diagnosis with the joint fit's answer in place of its own, if that names something and surely leaves less on
     held-out blocks; else the diagnosis itself. The answer is of the robot's recordings, the diagnosis' segments but the
     first, which is the simulator's."""
@@ -157,14 +157,14 @@ def improved(diagnosis: Diagnosis, answer: Answer) -> Diagnosis:
     if sure < gap.SURELY or not groups:
         return diagnosis
     groups = _largest_share_first(groups, answer, gap.rms(diagnosis.before))
-    best = foretelling(answer)
+    best = answer_to_hand_out(answer)
     document = _document(diagnosis, answer, best, groups, sure)
     return replace(diagnosis, document=document, corrected=best.corrected_model(), after=best.held_out)
 
 
-def foretelling(answer: Answer) -> Answer:
+def answer_to_hand_out(answer: Answer) -> Answer:
     """The answer whose model is handed out: with more detail of law and width, where that surely leaves less of blocks
-    left out; else `answer`. What is named is not asked of it: law and width of much detail stand for other causes."""
+    left out; else `answer`. Only `answer` tells what is named: law and width of much detail stand for other causes."""
     detailed = Answer.of(*answer.joint.detailed(answer.fitted))
     sure = gap.probability_of_shrinking(answer.held_out, detailed.held_out, answer.joint.segments)
     return replace(detailed, plainer=answer) if sure >= gap.SURELY else answer
@@ -236,7 +236,8 @@ def _effects(
 
 
 def _largest_share_first(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
-    """The groups in the order of how much their first member closes of the gap. before: rms of the gap."""
+    """The groups in the order of the share of the gap that each closes, the largest first. A group is the ids of
+    unknowns that cannot be told apart, the best first: that one counts. before: rms of the gap."""
     shares = answer.shares([group[0] for group in groups], before)
     return [groups[i] for i in np.argsort(-np.array(shares))]
 

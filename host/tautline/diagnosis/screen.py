@@ -139,7 +139,8 @@ class _Scan:
     def _with_small_amplitude(
         self, kind: Kind, parameter: Parameter, shapes: Mapping[str, float], sign: float
     ) -> tuple[ParameterState, float]:
-        """(The base's parameters with these shapes and one amplitude set to a small step of this sign, that step)."""
+        """Returns the base's parameters with these `shapes`, one amplitude of the effect (`parameter`) set to a small
+        step of this sign and its others to 0; and that step, in the parameter's unit."""
         step = sign * parameter.probe * self.fitter.scale(parameter)
         others = {p.name: 0.0 for p in kind.amplitudes}
         values = {**self.base.state.values, **shapes, **others, parameter.name: step}
@@ -155,43 +156,67 @@ class _Scan:
                     segment.ask(state.at(segment, hypothesis))
 
     def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
-        """Linear scores of an effect with these shapes and columns (of each recording, the calibration first), one for
-        each scope in which it may be. The gain is 0 where an amplitude cannot be what its linear step says
-        (`_start_value`): its columns hold for amplitudes of this `sign` alone."""
+        """Linear scores of an effect with these shapes and columns (of each recording, the calibration first): one
+        Screened for each scope in which the effect may be there. sign: that of the amplitudes that the columns were
+        simulated with; the gain is 0 where a linear step cannot be right for it (`_start_value`)."""
         parts = [
             self.fitter.normal(row, extra, known=known)
             for row, extra, known in zip(self.rows, columns, self.known, strict=True)
         ]
-        tests, count = len(parts) - 1, len(kind.amplitudes)
-        precision = self.fitter.floor**2 * self.fitter.curve_precision(Hypothesis((kind,), (Scope.START,)))
+        tests = len(parts) - 1
         scored = []
-        for scope in (scope for scope in self.scopes if self._may_be(kind, scope, tests)):
-            present = parts if scope == Scope.START else parts[1:]
-            if scope == Scope.EACH:
-                present = [self._normal_by_recording(part, i, tests, count) for i, part in enumerate(parts[1:])]
-            prior = block_diag(*[precision] * (tests if scope == Scope.EACH else 1)) if kind.curve else 0.0
-            amplitudes, gain = self.gain(present, prior)
+        for scope in self.scopes:
+            if not self._may_be(kind, scope, tests):
+                continue
+            present = self._present_in(scope, parts, len(kind.amplitudes))
+            amplitudes, gain = self.gain(present, self._prior_precision(kind, tests if scope == Scope.EACH else 1))
             if amplitudes is None:
                 continue
-            start = dict(shapes)
-            for i, amplitude in enumerate(amplitudes):
-                parameter = kind.amplitudes[i % count]
-                # An amplitude without any effect, as of an axis that never moved, does not count beside others.
-                without_effect = amplitude == 0.0 and bool(np.any(amplitudes))
-                value, possible = self._start_value(parameter, float(amplitude), sign)
-                if not (possible or without_effect):
-                    gain = 0.0
-                name = key(parameter.name, 1 + i // count) if scope == Scope.EACH else parameter.name
-                start[name] = 0.0 if without_effect else value
-            scored.append(Screened(gain, kind, scope, start))
+            start, possible = self._start_values(kind, scope, amplitudes, sign)
+            scored.append(Screened(gain if possible else 0.0, kind, scope, {**shapes, **start}))
         return scored
+
+    def _present_in(self, scope: Scope, parts: Sequence[Normal], count: int) -> Sequence[Normal]:
+        """The normal equations of the recordings that an effect in this scope is in, of `parts`, those of all
+        recordings with the effect's columns, the calibration first. START: of all; TESTS: of all after the calibration;
+        EACH: the same, with `count` amplitudes of its own for each test."""
+        if scope == Scope.START:
+            return parts
+        tests = parts[1:]
+        if scope == Scope.TESTS:
+            return tests
+        return [self._normal_by_recording(part, i, len(tests), count) for i, part in enumerate(tests)]
+
+    def _prior_precision(self, kind: Kind, times: int) -> Array | float:
+        """(k, k) Prior precision of an effect's amplitudes, in the unit of the normal equations, which are not over the
+        noise; 0 for an effect that is no curve. times: how often the amplitudes are there, one set after the other."""
+        if not kind.curve:
+            return 0.0
+        precision = self.fitter.floor**2 * self.fitter.curve_precision(Hypothesis((kind,), (Scope.START,)))
+        return np.asarray(block_diag(*[precision] * times))
+
+    def _start_values(self, kind: Kind, scope: Scope, amplitudes: Array, sign: float) -> tuple[dict[str, float], bool]:
+        """(From where to fit each amplitude of an effect, by Slot.key; whether all linear steps may be right, as
+        `_start_value` says). amplitudes: the linear steps (k,), those of EACH of the first test, then of the second,
+        and so on; sign: that of the amplitudes that the columns were simulated with."""
+        start, all_possible = {}, True
+        count = len(kind.amplitudes)
+        for i, amplitude in enumerate(amplitudes):
+            parameter = kind.amplitudes[i % count]
+            # An amplitude without any effect, as of an axis that never moved, does not count beside others.
+            without_effect = amplitude == 0.0 and bool(np.any(amplitudes))
+            value, possible = self._start_value(parameter, float(amplitude), sign)
+            all_possible &= possible or without_effect
+            name = key(parameter.name, 1 + i // count) if scope == Scope.EACH else parameter.name
+            start[name] = 0.0 if without_effect else value
+        return start, all_possible
 
     def _start_value(self, parameter: Parameter, amplitude: float, sign: float) -> tuple[float, bool]:
         """(Where a fit of this amplitude starts, whether its linear step `amplitude` may be right): the step within the
         parameter's range and _FARTHEST scales. It cannot be right where that is 0, or where a one-way amplitude was
         simulated on the other side of 0 (`sign`); a fit starts a little on that side then."""
         scale = self.fitter.scale(parameter)
-        value = self.fitter.inside(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
+        value = self.fitter.clipped(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
         if value == 0.0 or (parameter.one_way and value * sign < 0.0):
             return _OTHER_WAY * sign * scale, False
         return value, True
@@ -228,13 +253,16 @@ class _Scan:
 
     def gains(self, of_effect: Array, taken: Array, gradient: Array, prior: Array | float = 0.0) -> tuple[Array, Array]:
         """((n, k) best amplitudes, (n,) share of the residual's sum of squares that they explain) of n effects, each
-        alone: a = (G - X'N^-1 X + prior)^-1 g, share a'g / sum of squares; -1 where the fit's unknowns absorb an
-        effect. of_effect (n, k, k): G of its columns; taken (n, k, k): X'N^-1 X, what these unknowns take of it;
-        gradient (n, k): g once they have taken theirs; prior (k, k): precision of the amplitudes."""
-        diagonal = np.arange(of_effect.shape[1])
-        free, size = of_effect - taken, of_effect[:, diagonal, diagonal]
+        alone: a = (G - X'N^-1 X + prior)^+ g, share a'g / sum of squares. The pseudo-inverse is taken after columns are
+        scaled to unit norm, without directions whose eigenvalue is then below _RANK. The share is -1 where the fit's
+        unknowns absorb an effect: where they leave at most _FREE of the norm of each of its columns. of_effect: G of
+        its columns, (n, k, k); taken: X'N^-1 X, what these unknowns take of it, (n, k, k); gradient: g once they have
+        taken theirs, (n, k); prior: precision of the amplitudes, (k, k), or one number for all of its elements."""
+        k = of_effect.shape[1]
+        diagonal = np.arange(k)
+        free, size = of_effect - taken, of_effect[:, diagonal, diagonal]  # size: squared norms of the columns
         absorbed = (free[:, diagonal, diagonal] <= _FREE**2 * np.maximum(size, 1e-300)).all(axis=1)
-        free, size = free + prior, size + np.diag(np.zeros(of_effect.shape[1:]) + prior)
+        free, size = free + prior, size + np.diag(np.broadcast_to(prior, (k, k)))
         scale = 1.0 / np.sqrt(np.maximum(size, np.maximum(1e-12 * size.max(axis=1, keepdims=True), 1e-300)))
         eigenvalues, vectors = np.linalg.eigh(free * scale[:, :, None] * scale[:, None, :])
         inverse = np.where(eigenvalues > _RANK, 1.0 / np.maximum(eigenvalues, _RANK), 0.0)

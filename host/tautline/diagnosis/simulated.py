@@ -11,7 +11,7 @@ from tautline.diagnosis import decide, gap
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import Joint, likeliest
-from tautline.diagnosis.joint_told import Answer, improved
+from tautline.diagnosis.joint_told import Answer, with_joint_answer
 from tautline.diagnosis.recorded import with_markers
 from tautline.diagnosis.segment import prepare
 from tautline.diagnosis.stepping import stepped
@@ -60,7 +60,7 @@ def diagnose_simulator(
         with threadpool_limits(1, "blas"):
             done = _SIMULATING + _DIAGNOSING
             told = likeliest(joint, lambda share: progress(done + _FITTING * share, "fitting all parameters together"))
-            answer = improved(diagnosis, Answer.of(*told))
+            answer = with_joint_answer(diagnosis, Answer.of(*told))
         if answer is diagnosis:  # the joint fit leaves no less
             return diagnosis
         of_simulator = found.to_json(answer.document["effects"])
@@ -68,8 +68,9 @@ def diagnose_simulator(
 
 
 def _corrected_with_noise(diagnosis: Diagnosis) -> Model:
-    """The corrected model with the standard deviation of a reading about its prediction, from what it
-    leaves of held-out blocks: no calibration has given it one."""
+    """The corrected model with one standard deviation of a reading about its prediction, px per coordinate or deg, as
+    no calibration has given it one: the noise, and the misfit that it leaves of held-out blocks, enlarged by as much as
+    that is larger on unseen motions (`gap.unseen`, learnt().elsewhere)."""
     model, floor = diagnosis.corrected, diagnosis.document["noise_floor"]
     noise = gap.unseen(gap.rms(diagnosis.before), gap.rms(diagnosis.after), floor, learnt().elsewhere)
     return replace(model, uncertainty=replace(model.uncertainty, noise=noise))

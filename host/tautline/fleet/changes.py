@@ -97,8 +97,9 @@ def _without_changes(robot: Sequence[Row]) -> list[Row]:
 
 
 def _with_robot_changes(robot: Sequence[Row], known: _Levels, scatter: float) -> list[Row]:
-    """The robot's rows with its growth of B a session (wear) in each, and in the usable ones after the first the change
-    of B and offset since that. scatter: as in `_Levels.line`."""
+    """The robot's rows with the growth of its B a session in each (wear, of log B: a share), and in the usable ones
+    after the first the change since that: width_change, a share of B, and offset_change, unit of q. scatter: as in
+    `_Levels.line`."""
     first = robot[known.at[0]]
     wear = wear_sigma = None
     if len(known.at) > 1:

@@ -136,9 +136,10 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     return Curves(q, np.log(width), sigma, names=tuple(row.robot for row in usable), together=together)
 
 
-def paths(rows: Sequence[Row]) -> list[Curves]:
-    """The path over q that the tip's sensor sees, of the usable sessions with the most common kind of it: one Curves
-    for each coordinate (u and v in px, or an angle in deg). Empty where fewer than LEAST_ROBOTS have one."""
+def tip_paths(rows: Sequence[Row]) -> list[Curves]:
+    """The path over q that the tip's sensor sees, of the usable sessions that share the most common unit, places and
+    number of coordinates: one Curves for each coordinate (u and v in px, or an angle in deg). Empty where fewer than
+    LEAST_ROBOTS have one."""
     seen = _most_common_paths(rows)
     if len({row.robot for row in seen}) < LEAST_ROBOTS:
         return []
@@ -150,8 +151,8 @@ def paths(rows: Sequence[Row]) -> list[Curves]:
 
 
 def delays(rows: Sequence[Row]) -> Curves | None:
-    """The delay, s, of the sensor that sees `paths`, as curves of a single place (n, 1), of the usable sessions that
-    have one with its sigma. None where fewer than LEAST_ROBOTS do."""
+    """The delay, s, of the sensor that sees `tip_paths`, as curves of a single place (n, 1), of the usable sessions
+    that have one with its sigma. None where fewer than LEAST_ROBOTS do."""
     told = [(row.robot, row.delay_s, row.delay_sigma_s) for row in _most_common_paths(rows) if row.delay_sigma_s]
     if len({robot for robot, _, _ in told}) < LEAST_ROBOTS:
         return None
@@ -193,7 +194,7 @@ def population(curves: Curves, of_next: bool = False) -> Population:
     return _shrink_scatter(*_fit_mean_and_scatter(curves, freedom), curves, length, worth, freedom)
 
 
-def single(curves: Curves) -> Population:
+def population_of_single_value(curves: Curves) -> Population:
     """How a single value (n, 1), such as the delay, is spread between robots, as a prior for the next one: the mean
     over a grid of spreads, from 0 on, and tails, each weighted by its posterior probability under a flat prior. The
     likeliest spread alone would not do: it is 0 whenever sessions overstate their errors."""

@@ -13,7 +13,15 @@ from threadpoolctl import threadpool_limits
 
 from tautline.calibration.beforehand import Beforehand, Spread
 from tautline.errors import TautError, of_system
-from tautline.fleet.population import LEAST_ROBOTS, Population, delays, log_widths, paths, population, single
+from tautline.fleet.population import (
+    LEAST_ROBOTS,
+    Population,
+    delays,
+    log_widths,
+    population,
+    population_of_single_value,
+    tip_paths,
+)
 from tautline.fleet.rows import DATA_SET, Row
 from tautline.folders import write_file
 from tautline.rig import Rig
@@ -29,9 +37,9 @@ def write(rows: Sequence[Row], out: Path) -> None:
     unit = next(row.unit for row in rows if row.usable and row.q == tuple(curves.q.tolist()))
     with threadpool_limits(1, "blas"):
         width = _as_json(population(curves, of_next=True))  # B may be worn as no other's is; the path does not wear
-        path = [_as_json(population(each)) for each in paths(rows)]
+        path = [_as_json(population(each)) for each in tip_paths(rows)]
         delay_curves = delays(rows)
-        delay = None if delay_curves is None else _as_json(single(delay_curves))
+        delay = None if delay_curves is None else _as_json(population_of_single_value(delay_curves))
     robots = len(set(curves.names))
     document = {"format": FORMAT, "unit": unit, "robots": robots, "width": width, "path": path, "delay": delay}
     write_file(out / FILE, json.dumps(document))

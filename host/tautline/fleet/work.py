@@ -13,7 +13,7 @@ from tautline.calibration.calibrate import calibrate
 from tautline.calibration.result import Calibration
 from tautline.errors import TautError
 from tautline.fleet.rows import Row
-from tautline.folders import unpacked
+from tautline.folders import unpacked_folder
 from tautline.prediction import width_by_delay
 from tautline.recording import check_distinct, load_all
 from tautline.rig import RIG_FILE, Rig
@@ -27,7 +27,7 @@ def calibrate_session(row: Row, files: Mapping[str, bytes]) -> Row:
     result and the seconds of processor time. No error leaves it: it becomes the row's `error`."""
     began = time.process_time()
     try:
-        with unpacked(files) as folder:
+        with unpacked_folder(files) as folder:
             row = _calibrate_files(row, folder)
     except Exception as error:  # one session of many: a row that says so
         text = str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"

@@ -239,7 +239,7 @@ def follow_run(
             if recorder is not None:
                 recorder.add(frame)
             if following is not None:
-                following.seen(frame)
+                following.take(frame)
 
         begin_s, sent_s, sent = follow(
             live,

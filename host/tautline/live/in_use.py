@@ -106,7 +106,8 @@ class Following:
     mover: TableMover | None = None  # moves the board's tables to what is learnt from frames that show the marker
     library: Library | None = None  # whose shapes are looked for
     shown: Callable[[Frame, float], None] = lambda frame, q: None  # a frame that was tracked, the motor at its scene
-    known: Shape | None = field(init=False, default=None)  # the shape that the shaft has now, where that is another
+    # The library's shape that the shaft has now; None where that is the model's own, or cannot be told.
+    recognised_shape: Shape | None = field(init=False, default=None)
     tracker: LawTracker = field(init=False)
     row: Row | None = field(init=False, default=None)  # the tracker's latest
     frames: int = field(init=False, default=0)  # tracked so far
@@ -165,7 +166,7 @@ class Following:
                 return float(np.interp(t_s, times, q))
         return float("nan")
 
-    def seen(self, frame: Frame) -> None:
+    def take(self, frame: Frame) -> None:
         """Takes in the next frame, and tracks all queued ones whose scene time the telemetry has reached."""
         self._read_telemetry()
         self._waiting.append(frame)
@@ -189,13 +190,14 @@ class Following:
                 self.mover.use(arrival_s, self.row.offset, self.tracker.compensation)
         else:
             self.unseen += 1
-        self._recognise(self.row)
+        self._recognise_shape(self.row)
         self.on_row(self.row, arrival_s)
         self.shown(frame, self.motor_at(arrival_s - self._delay_s))
 
-    def _recognise(self, row: Row) -> None:
-        """Sets `known` to the shape of the library that what was learnt is nearest to, None if that is the model's own.
-        Does nothing while the law is as before."""
+    def _recognise_shape(self, row: Row) -> None:
+        """Sets `recognised_shape` to the only shape of the library that agrees with the learnt offset and scale; to
+        None if that is the model's own, or if none or several agree. Leaves it as it is while the law is as before, or
+        STALE."""
         if self.library is None or self._model_shape is None or row.state is State.STALE:
             return
         law = (row.offset, row.offset_sigma, row.scale, row.scale_sigma)
@@ -203,7 +205,7 @@ class Following:
             return
         self._last_law = law
         near = self.library.nearest(Seen(*law), self._model_shape, float(np.mean(self.model.width)))
-        self.known = near if near is not None and near.name != self._model_shape.name else None
+        self.recognised_shape = near if near is not None and near.name != self._model_shape.name else None
 
     @property
     def beyond(self) -> str:
@@ -233,7 +235,7 @@ class Following:
             "changes": changes,
         }
         if self.library is not None:
-            document["shape"] = None if self.known is None else self.known.name
+            document["shape"] = None if self.recognised_shape is None else self.recognised_shape.name
         if self.mover is not None:
             document |= {
                 "moves": [asdict(move) for move in self.mover.moves],
@@ -244,7 +246,7 @@ class Following:
 
 
 @contextmanager
-def beside(following: Following) -> Iterator[Following]:
+def tracking_beside(following: Following) -> Iterator[Following]:
     """A context within which a thread takes frames and tracks, while the block sends set-points. If the camera is lost
     only tracking ends: `following.lost` says so, and the board's tables stay as they were moved last."""
     ended = threading.Event()
@@ -253,7 +255,7 @@ def beside(following: Following) -> Iterator[Following]:
         """Body of the thread."""
         try:
             while not ended.is_set():
-                following.seen(following.live.look())
+                following.take(following.live.look())
         except TautError as error:
             following.lost = str(error)
 

@@ -39,12 +39,12 @@ def watch(
         began = live.now_us()
         try:
             if plan is not None:
-                follow(live, *plan, tip=False, seen=following.seen, progress=progress)
+                follow(live, *plan, tip=False, seen=following.take, progress=progress)
             while plan is None:
                 passed = (live.now_us() - began) * 1e-6
                 if duration_s is not None and passed >= duration_s:
                     break
-                step(live, following.seen)
+                step(live, following.take)
                 if progress and duration_s:
                     progress(passed / duration_s, "watching")
         except KeyboardInterrupt:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from tautline.calibration.backlash import paper_knots
 from tautline.errors import TautError
-from tautline.folders import whole
+from tautline.folders import whole_file
 from tautline.model import Model
 from tautline.reports.evidence import STAGES, Evidence, Run
 
@@ -73,7 +73,7 @@ def check_ending(path: Path) -> None:
 
 def save(made: Figure, path: Path) -> None:
     """Writes a figure as PNG, SVG or PDF, by the file's ending, whole or not at all."""
-    with mpl.rc_context(STYLE), whole(path) as file:
+    with mpl.rc_context(STYLE), whole_file(path) as file:
         made.savefig(file, dpi=120)
 
 

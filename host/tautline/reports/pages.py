@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from tautline import __version__
 from tautline.explain import topics
-from tautline.folders import replaced, write_file
+from tautline.folders import replaced_folder, write_file
 from tautline.model import MODEL_FILE, Model
 from tautline.recording import Recording
 from tautline.reports import figures
@@ -53,7 +53,7 @@ def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> l
     """Writes a whole MODEL folder with its report, all or nothing, in place of an earlier one. recordings: that the
     model was calibrated from; without any, or where none saw the tip within the motor's times, the report is of the
     tables alone. Returns the result in sentences."""
-    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, NEXT_FILE)) as target:
+    with replaced_folder(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, NEXT_FILE)) as target:
         evidence = collect(model, recordings) if recordings else None
         if evidence is not None and len(evidence.t_s) == 0:
             evidence = None

@@ -1,7 +1,7 @@
 """A rig.toml out of pictures of a board and a motion through known angles."""
 
 from tautline.rigging.board import DICTIONARIES, Board, Intrinsics, intrinsics
-from tautline.rigging.places import Places, coarse, places_of, read_known
+from tautline.rigging.places import Places, fit_coarse_law, places_of, read_known_angles
 from tautline.rigging.pose import HandEyeFit, hand_eye
 
 __all__ = [
@@ -10,9 +10,9 @@ __all__ = [
     "HandEyeFit",
     "Intrinsics",
     "Places",
-    "coarse",
+    "fit_coarse_law",
     "hand_eye",
     "intrinsics",
     "places_of",
-    "read_known",
+    "read_known_angles",
 ]

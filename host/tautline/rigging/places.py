@@ -32,9 +32,10 @@ class Places:
     q: Array  # (n,) the motor's mean position
 
 
-def read_known(file: Path) -> Angle:
-    """Reads a CSV with columns t_s,c_deg: from when on the tip rested for STANDS_S, s of the recording's clock, rising,
-    and at which angle, deg. TautError where it is none."""
+def read_known_angles(file: Path) -> Angle:
+    """Reads a CSV of known angles. Its column t_s is when a rest of at least STANDS_S began, s on the recording's
+    clock, each row later than the one before; c_deg is the tip's angle during that rest, deg. TautError where the file
+    is no such table. A last line that was cut is not left out, as it is of a log: it counts, or is an error."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header(), mend=False)
     return Angle(columns.rising_times(), columns.finite("c_deg"))
 
@@ -66,9 +67,9 @@ def places_of(recording: Recording, known: Angle) -> Places:
     return Places(known.c_deg, np.array(image), np.array(sigma), np.array(q))
 
 
-def coarse(places: Places) -> tuple[Coarse, float]:
-    """The coarse law c = gain q + offset by least squares over the places, and the rms of its residual, deg, which play
-    and curvature make up, too. TautError where the motor stood at one place."""
+def fit_coarse_law(places: Places) -> tuple[Coarse, float]:
+    """The coarse law c = gain q + offset by least squares over the places, and the rms of its residual, deg, to which
+    play and curvature add. TautError where the motor stood at one place."""
     if np.ptp(places.q) <= 0.0:
         raise TautError("the motor stood at one place for all known angles: is the log that of the motion?")
     gain, offset = np.polyfit(places.q, places.c_deg, 1)

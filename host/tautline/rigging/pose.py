@@ -63,8 +63,8 @@ class HandEyeFit:
 
 
 def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma_deg: float) -> HandEyeFit:
-    """Where the camera is, from the marker's places at known angles: nonlinear least squares over the pose (6,) and the
-    true angles (n,), whose stated sigma is `angle_sigma_deg`, from both poses that a planar curve allows
+    """Fits where the camera is to the marker's places at known angles: nonlinear least squares over the pose (6,) and
+    the true angles (n,), whose stated sigma is `angle_sigma_deg`, from both poses that a planar curve allows
     (cv2.SOLVEPNP_IPPE). If more is left than the stated sigmas explain, the result's sigmas grow. TautError where the
     places do not determine a pose."""
     sigma_px = np.hypot(places.sigma_px, PLACED_PX)  # no mean goes below what a place is off by

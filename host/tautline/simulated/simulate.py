@@ -14,7 +14,7 @@ import pandas as pd
 
 from tautline import recording as recordings
 from tautline.errors import TautError
-from tautline.folders import replaced, write_file
+from tautline.folders import replaced_folder, write_file
 from tautline.prediction import TRUTH_FILE
 from tautline.recording import COLOUR_FILE, Angle, Marker, Motor, Recording
 from tautline.rig import Rig
@@ -56,7 +56,7 @@ class Simulation:
 
         lossless: 0.6 MB a frame instead of 0.03, and the tracker's noise 0.01 px instead of 0.04.
         """
-        with replaced(Path(folder), TRUTH, stale=recordings.FILES) as target:
+        with replaced_folder(Path(folder), TRUTH, stale=recordings.FILES) as target:
             self._save(target, endoscope, lossless, progress)
 
     def _save(self, folder: Path, endoscope: Endoscope | None, lossless: bool, progress: Progress | None) -> None:

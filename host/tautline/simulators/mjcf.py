@@ -18,7 +18,15 @@ import numpy.typing as npt
 from tautline import _native
 from tautline.errors import TautError
 from tautline.recording import Motor
-from tautline.simulators.scene import carried_by, check_named, lifts, needed, read, tip_of, with_servo
+from tautline.simulators.scene import (
+    carried_by,
+    carries_weight,
+    check_mujoco,
+    check_named,
+    read_mujoco,
+    tip_of,
+    with_servo,
+)
 from tautline.simulators.simulator import Declared, Simulator
 
 if TYPE_CHECKING:
@@ -92,7 +100,7 @@ class Mjcf:
     def _model(self) -> mujoco.MjModel:
         """The file compiled by MuJoCo; one without any actuator, such as a URDF, gets a servo on the joint of that
         name. TautError where the actuator is not in it."""
-        model = read(self.path)
+        model = read_mujoco(self.path)
         if not model.nu:
             return with_servo(self.path, self.actuator)
         check_named(self.path, "actuator", self.actuator, [str(model.actuator(i).name) for i in range(model.nu)])
@@ -194,19 +202,19 @@ class Mjcf:
         yield Declared(f"{name}.damping", f"{force} s/{per}", damping, spread=damping or light, low=0.0)
         yield Declared(f"{name}.frictionloss", force, friction, spread=friction or stuck, low=0.0)
         yield Declared(f"{name}.armature", inertia_unit, armature, spread=armature or inertia, low=0.0)
-        if lifts(model, data, name) and not self._is_lifted(data, name):
+        if carries_weight(model, data, name) and not self._is_in_other_load(data, name):
             mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
             yield Declared(f"{name}.load", "kg", mass, spread=_HALF * mass, low=_HUNDREDTH * mass)
 
-    def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
+    def _is_in_other_load(self, data: mujoco.MjData, name: str) -> bool:
         """Whether the mass that this joint carries belongs to another joint's load already, as that carries this one: a
-        mass is declared once. data: of the model, forward."""
+        mass is declared once. data: of the model, after mj_forward."""
         model, own = self._model, int(self._model.joint(name).bodyid[0])
         before = self._joints[: self._joints.index(name)]
         for other in self._joints:
             carries = other != name and own in carried_by(model, other)
             on_the_same_body = int(model.joint(other).bodyid[0]) == own  # of these the first one has it
-            if carries and (not on_the_same_body or other in before) and lifts(model, data, other):
+            if carries and (not on_the_same_body or other in before) and carries_weight(model, data, other):
                 return True
         return False
 
@@ -290,7 +298,7 @@ def simulator(
     from deg, to m from mm); in a file without actuators the name of a joint, which gets a servo. tip: joint:NAME, or
     site:NAME for the sum of the free hinges above it. unit: of the motor's position, mm or deg; step_s: of the
     simulation, by default the file's. TautError names what is not in the file."""
-    needed()
+    check_mujoco()
     scale = scale_of(scale, unit)
     made = Mjcf(Path(path), actuator, tip, scale, step_s)
     source = {

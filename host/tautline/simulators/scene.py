@@ -21,15 +21,15 @@ _NO_LOAD = 1e-3  # tolerance: of the weight, at the model's size as its arm
 _PARALLEL = 0.999  # tolerance: cosine between axes that count as one
 
 
-def needed() -> None:
-    """TautError, with how to install it, where MuJoCo is missing: it is optional."""
+def check_mujoco() -> None:
+    """TautError where MuJoCo, which is optional, is not installed; its message says how to install it."""
     if find_spec("mujoco") is None:
         raise TautError(
             "--simulator needs the package mujoco: pip install 'tautline-robotics[simulator]', or pip install mujoco"
         )
 
 
-def read(path: Path) -> mujoco.MjModel:
+def read_mujoco(path: Path) -> mujoco.MjModel:
     """The compiled model of an MJCF or URDF file. TautError where MuJoCo cannot read it."""
     import mujoco
 
@@ -45,7 +45,7 @@ def with_servo(path: Path, joint: str) -> mujoco.MjModel:
     own pose. TautError where there is no such hinge or slide."""
     import mujoco
 
-    bare = read(path)
+    bare = read_mujoco(path)
     possible = [each for each in filter(None, joints_of(bare)) if _has_one_axis(bare, each)]
     if joint not in possible:
         names = ", ".join(possible) or "but it has no hinge or slide with a name"
@@ -103,10 +103,11 @@ def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
     return np.array(carried, dtype=np.int64)
 
 
-def lifts(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> bool:
-    """Whether the weight of what a joint carries acts on it, so that its mass can be told from the motion: for a slide
-    gravity has a part along its axis, for a hinge a moment about it. data: forward (mj_forward), in the pose that
-    counts."""
+def carries_weight(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> bool:
+    """Whether the weight of the bodies that a joint carries can load it, so that their mass shows in the motion. Slide:
+    the part of gravity along its axis is above _NO_LOAD of g. Hinge: the largest moment of the weight about its axis,
+    over all angles of this joint, is above _NO_LOAD of m g times the model's extent, m being the mass. data: after
+    mj_forward; axis and centre of mass are those of its pose."""
     import mujoco
 
     at, body = int(model.joint(joint).id), int(model.joint(joint).bodyid[0])

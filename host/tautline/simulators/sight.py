@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.recording import Angle, Marker, Recording
-from tautline.simulators.scene import check_named, joints_above, needed, read
+from tautline.simulators.scene import check_mujoco, check_named, joints_above, read_mujoco
 
 if TYPE_CHECKING:
     import mujoco
@@ -74,8 +74,8 @@ def sight(path: Path, site: str, camera: str) -> Sight:
     pose; so that a recording with a marker on this site can be compared with the simulator's angle. TautError names
     what is not in the file; also where not exactly one hinge moves the site, the camera does not see it move, or one
     place has several angles."""
-    needed()
-    model = read(path)
+    check_mujoco()
+    model = read_mujoco(path)
     check_named(path, "site", site, [str(model.site(i).name) for i in range(model.nsite)])
     check_named(path, "camera", camera, [str(model.camera(i).name) for i in range(model.ncam)])
     at = model.camera(camera).id

@@ -46,9 +46,10 @@ def of_python(name: str) -> Simulator:
     return replace(found, source={"kind": _PYTHON, "name": name})
 
 
-def opened(model: Model) -> Simulator:
-    """Opens the simulator that a model was made with, by the source that it keeps. TautError where it has no such
-    source, or the simulator is missing or has changed since."""
+def open_simulator(model: Model) -> Simulator:
+    """Opens the simulator that a model was made with, by the source that it keeps; where that names a step of time
+    (STEP), the limit for short steps that was used then (`stepless`). TautError where it has no such source, or the
+    simulator is missing or has changed since."""
     source = model.simulator or {}
     simulator = _open_source(source, model)
     return stepless(simulator, _number(source, STEP)) if STEP in source else simulator
@@ -69,7 +70,8 @@ def _open_source(source: Mapping[str, Any], model: Model) -> Simulator:
 
 
 def _text(source: Mapping[str, Any], key: str) -> str:
-    """The text of a key in a simulator's source, which comes from a model's file. TautError where it is none."""
+    """The text of a key in a simulator's source, which comes from a model's file. TautError where it is something
+    else."""
     value = source.get(key)
     if not isinstance(value, str):
         raise _damaged_error(key, value, "a text")
@@ -77,7 +79,7 @@ def _text(source: Mapping[str, Any], key: str) -> str:
 
 
 def _number(source: Mapping[str, Any], key: str) -> float:
-    """The number of a key in a simulator's source, finite and not 0. TautError where it is none."""
+    """The number of a key in a simulator's source, finite and not 0. TautError where it is something else."""
     value = source.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value or not math.isfinite(value):
         raise _damaged_error(key, value, "a number")
@@ -91,7 +93,7 @@ def _damaged_error(key: str, value: object, expected: str) -> TautError:
 
 def path_of(model: Model, motor: Motor) -> MotorPath:
     """The path of the coordinate that a model's tables are over, for a motor's log: the motor's own path, or for a
-    model that was diagnosed against a simulator the simulated tip's coordinate. TautError as of `opened`."""
+    model that was diagnosed against a simulator the simulated tip's coordinate. TautError as of `open_simulator`."""
     return next(paths_of([model], motor))
 
 
@@ -102,7 +104,7 @@ def paths_of(models: Sequence[Model], motor: Motor) -> Iterator[MotorPath]:
         path = MotorPath.of(motor, models[0].rig.actuator.encoder_resolution)
         yield from (path for _ in models)
         return
-    drive = Drive(opened(models[0]), motor, models[0].rig)
+    drive = Drive(open_simulator(models[0]), motor, models[0].rig)
     for model in models:
         values = {name: value for effect in model.effects for name, value in effect.parameters.items()}
         driven = drive.motor(values)

@@ -30,7 +30,8 @@ class _Limit:
 
 def stepless(simulator: Simulator, step_s: float) -> Simulator:
     """A simulator that gives the limit of `simulator` for short steps of time, extrapolated from its runs with steps of
-    step_s and half of that; its source says so, for `source.opened`. TautError where the step cannot be changed."""
+    step_s and half of that; its source says so, for `source.open_simulator`. TautError where the step cannot be
+    changed."""
     if simulator.at_step is None:
         raise TautError("the simulator's step of time cannot be changed: give its Simulator at_step")
     coarse, fine = simulator.at_step(step_s), simulator.at_step(0.5 * step_s)

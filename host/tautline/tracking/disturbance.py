@@ -23,44 +23,49 @@ class Disturbance:
     q."""
 
     def __init__(self, resolution: float) -> None:
-        """Nothing was seen yet."""
+        """Begins without frames."""
         self._resolution = resolution
         self.begin_recording()
 
     def begin_recording(self) -> None:
-        """The tip and its clock may be elsewhere, and what was seen or judged is of another recording."""
+        """Forgets all frames and judgements: they are of another recording, with another clock and perhaps another
+        place of the tip."""
         self._off_track, self._wanders = 1.0, 1.0
         self._rested_s = -np.inf  # the last frame at rest
         self._before = (np.nan, np.nan, np.nan)  # the last frame: motor, tip (deg), its sigma
         self._quiet_s = -np.inf  # when learning may go on
 
     def add(self, q: float, seen: AngleEstimate, level: float, arrival_s: float) -> None:
-        """Adds a frame, the motor being at q. level: rms of residuals over sigma that is known to be left."""
+        """Updates both running means by a frame. That of the tip's motion while the motor rests counts a frame before
+        which the motor moved by at most REST_COUNTS counts, and begins anew where the last such frame is _QUIET_S or
+        more ago. q: the motor's position at the frame, its unit; level: rms, in standard deviations, of the residuals
+        that the law is known to leave; arrival_s: when the frame arrived."""
         self._off_track += _OFF_PACE * ((seen.off / level) ** 2 - self._off_track)
         q_before, c_deg, sigma = self._before
         self._before = (q, seen.c_deg, seen.sigma * level)
-        if abs(q - q_before) <= REST_COUNTS * self._resolution:
+        if abs(q - q_before) <= REST_COUNTS * self._resolution:  # of the first frame NaN: it is not at rest
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._before[2]))
             if not self._rested_lately(arrival_s):
                 self._wanders = 1.0
             self._rested_s = arrival_s
             self._wanders += _WANDER_PACE * (min(wander**2, CAP) - self._wanders)
 
-    def judged(self, arrival_s: float) -> None:
-        """The evidence up to this time was judged to be disturbed."""
+    def note_judgement(self, arrival_s: float) -> None:
+        """Notes that the evidence up to this time, s, was judged to be disturbed: for _QUIET_S nothing is learnt."""
         self._quiet_s = arrival_s + _QUIET_S
 
     def was_judged(self, arrival_s: float) -> bool:
-        """Whether that was a short time ago."""
+        """Whether evidence was judged to be disturbed less than _QUIET_S before this time, s."""
         return arrival_s < self._quiet_s
 
-    def there(self, arrival_s: float) -> bool:
-        """Whether there is one, or was a short time ago."""
+    def is_disturbed(self, arrival_s: float) -> bool:
+        """Whether something that is no play moves the tip, or was judged to less than _QUIET_S before this time, s."""
         wanders = self._wanders > _WANDERS and self._rested_lately(arrival_s)
         return self.was_judged(arrival_s) or self._off_track > _OFF_TRACK or wanders
 
     def _rested_lately(self, arrival_s: float) -> bool:
-        """Whether a motor at rest showed a short time ago how the tip wanders: while it moves nothing does."""
+        """Whether a frame less than _QUIET_S before this time, s, was at rest: only such frames show how the tip
+        wanders."""
         return arrival_s < self._rested_s + _QUIET_S
 
 
@@ -69,17 +74,17 @@ class Aside:
     does, and is back: what it showed meanwhile says nothing of the law."""
 
     def __init__(self) -> None:
-        """No frames yet."""
+        """Begins without frames."""
         self.clear()
 
     def clear(self) -> None:
-        """Another recording or law: what comes is no jump away from the frame before."""
+        """Forgets the frame before, as at another recording or law: the next frame is no jump away from it."""
         self._before = (np.nan, np.nan)  # the last frame: motor, residual
         self._away, self._foretold = False, 0
 
     def add(self, q: float, off: float, sigma: float, trusted: bool) -> bool:
-        """Adds a frame, the motor being at q: off by so much, sigma its standard deviation, all in the unit of q.
-        trusted: whether the law held until now. Whether the image is back with this frame."""
+        """Adds a frame. q: the motor's position; off: the frame's residual, sigma its standard deviation, all in the
+        unit of q; trusted: whether the law held until now. Returns whether the image is back with this frame."""
         q_before, off_before = self._before
         self._before = (q, off)
         if trusted and abs(off - off_before) > _JUMPS * sigma + AHEAD * abs(q - q_before):

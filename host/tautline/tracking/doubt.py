@@ -21,10 +21,10 @@ class Doubt:
     what is as likely of any size."""
 
     since: int = 0  # the entry from which it is in doubt
-    _odds: float = 0.0  # of the parts before this one
-    _part: tuple[int, int] = (-1, 0)
-    _squares: float = 0.0
-    _count: int = 0
+    _odds: float = 0.0  # log odds by the parts before this one
+    _part: tuple[int, int] = (-1, 0)  # the present part: its stroke, and its number in that
+    _squares: float = 0.0  # sum of the squared residuals of the part's frames, in standard deviations
+    _count: int = 0  # the part's frames
 
     def clear(self, entry: int) -> None:
         """Forgets all doubt: frames count from this entry of the window on."""
@@ -32,9 +32,12 @@ class Doubt:
         self._part, self._squares, self._count = (-1, 0), 0.0, 0
 
     @property
-    def here(self) -> float:
-        """Log odds that the law changed, by the frames of the present part alone: half of what their squared residuals
-        exceed noise by, less the price of _FREEDOM free numbers, plus the prior's. 0 without frames."""
+    def odds_of_part(self) -> float:
+        """Log odds, by the frames of the present part alone, that the law changed: (x - _FREEDOM log(1 + x)) / 2 +
+        log(_SHARE / (1 - _SHARE)). x is by how much the sum of the frames' squared residuals (in standard deviations,
+        each cut at CAP), over _UNSURE, exceeds their number, and 0 at least. The first logarithm is the price of
+        _FREEDOM fitted numbers of any size, which say where the tip is instead; the second one is the prior. 0 without
+        frames."""
         if not self._count:
             return 0.0
         beyond = max(self._squares / _UNSURE - self._count, 0.0)
@@ -44,14 +47,14 @@ class Doubt:
     def odds(self) -> float:
         """Log odds that the law has not held since entry `since`: the sum over parts, kept at 0 or more, and the
         present one."""
-        return self._odds + self.here
+        return self._odds + self.odds_of_part
 
     def add(self, z: float, stroke: int, t_s: float, entry: int) -> None:
         """Adds a frame whose residual is z standard deviations, in this stroke at t_s, s. entry: its number in the
         window. A sum that falls to 0 begins anew with it."""
         part = stroke, int(t_s / MEMORY_S)
         if part != self._part:
-            self._odds = max(self._odds + self.here, 0.0)
+            self._odds = max(self._odds + self.odds_of_part, 0.0)
             if self._odds == 0.0:
                 self.since = entry
             self._part, self._squares, self._count = part, 0.0, 0

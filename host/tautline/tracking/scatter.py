@@ -15,19 +15,19 @@ _LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of a running mean; its share of squares 
 
 
 class Scatter:
-    """The standard deviation of the frames' own noise over the stated one, 1 at least: by the median square of third
+    """`ratio` is the standard deviation of the frames' own noise over the stated one: by the median square of third
     differences of their residuals, in which neither a law's misfit nor its jumps at turns show. O(1) a frame,
     O(_FRAMES) each _ANEW frames."""
 
     def __init__(self) -> None:
-        """No frames yet: the noise is the stated one."""
+        """Begins without frames: the noise is the stated one."""
         self._last: deque[float] = deque(maxlen=4)  # residuals over sigma, as many as a third difference takes
         self._squares: deque[float] = deque(maxlen=_FRAMES)  # of third differences, each over its variance
         self._new = 0  # frames since the last estimate
-        self.times = 1.0  # the noise over the stated one
+        self.ratio = 1.0  # of the noise to the stated one, 1 at least
 
     def add(self, z: float) -> None:
-        """Adds a frame's residual over its stated standard deviation."""
+        """Adds a frame's residual over its stated standard deviation; each _ANEW frames estimates `ratio` anew."""
         self._last.append(z)
         if len(self._last) == self._last.maxlen:
             first, second, third, fourth = self._last
@@ -38,14 +38,14 @@ class Scatter:
             self._new = 0
             count = len(self._squares)
             squares = count * spread.deviation_of_squares(np.array(self._squares)) ** 2 if count else 0.0
-            self.times = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))
+            self.ratio = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))
 
 
 class Lean:
-    """What frames are off by alike, deg: the running mean of the residual, and of its squares."""
+    """By how much all frames are off the law alike, deg: running means of the residual and of its square."""
 
     def __init__(self) -> None:
-        """No frames yet."""
+        """Begins without frames."""
         self._mean, self._square = 0.0, 0.0  # deg, deg^2
 
     def add(self, off_deg: float) -> None:
@@ -54,6 +54,6 @@ class Lean:
         self._square += _LEAN_PACE * (off_deg**2 - self._square)
 
     @property
-    def steady_deg(self) -> float:
-        """The mean, if it is most of what there is; else 0."""
+    def common_deg(self) -> float:
+        """The mean residual, deg, if its square is more than _LEANS of the mean square; else 0."""
         return self._mean if self._mean**2 > _LEANS * self._square else 0.0

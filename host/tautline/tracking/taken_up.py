@@ -13,19 +13,20 @@ Array = npt.NDArray[np.float64]
 
 class TakenUp:
     """`scale` is the least share of B that may be taken up between the reversals that measured it; `dialled` says why
-    that is less than what the law in use has, or is "". model: as calibrated, on the grid of its family."""
+    that is less than what the law in use has, or is ""."""
 
     def __init__(self, model: Model) -> None:
-        """All of the calibrated B may be taken up."""
+        """Begins with all of the calibrated B allowed. model: as calibrated, on the grid of its family."""
         self._q = model.q
         self._measured = model.is_measured
         self._allowed = np.ones(len(model.q))  # (nodes,) share of B that may be taken up at each
         self.scale, self.dialled = 1.0, ""
 
-    def as_law(self, family: LawFamily, law: Law, theta: Array, passed: tuple[float, float]) -> None:
-        """The share is that of the law of theta, which is in use; of one with a shape no more than before at places
-        that were not passed both ways (one without holds everywhere). passed: the lowest and highest centre coordinate
-        that were, unit of q."""
+    def follow_law(self, family: LawFamily, law: Law, theta: Array, passed: tuple[float, float]) -> None:
+        """Sets the allowed share of B at each node to what the law in use has there, and takes all of it up. Where that
+        law changes B by a curve over q (theta[SHAPE] is not 0), the share grows only at places that were passed both
+        ways. law: that of `theta` (PARAMETERS,), as law.py has it, in `family`; passed: the lowest and the highest
+        centre coordinate that were passed both ways, unit of q."""
         if np.any(theta[SHAPE]):
             share = family.width_ratio(law)
             seen = (self._q >= passed[0]) & (self._q <= passed[1])
@@ -34,18 +35,21 @@ class TakenUp:
             self._allowed = np.full(len(self._allowed), theta[SCALE])
         self.take_up_all_allowed(theta)
 
-    def no_more_than(self, theta: Array) -> None:
-        """The share is at most the present scale, and that of theta."""
+    def limit_to(self, theta: Array) -> None:
+        """Lowers the allowed share of B, where it is above the present scale or that of theta (PARAMETERS,), to the
+        lesser of the two, and takes all of it up."""
         self._allowed = np.minimum(self._allowed, np.minimum(self.scale, theta[SCALE]))
         self.take_up_all_allowed(theta)
 
     def take_up_all_allowed(self, theta: Array) -> None:
-        """Sets the scale to the least allowed share of B where it was measured; nothing is dialled down any more."""
+        """Sets the scale to the least allowed share of B where B was measured, or to that of theta (PARAMETERS,) if it
+        was measured nowhere; ends dialling down."""
         self.dialled = ""
         self.scale = float(np.min(self._allowed[self._measured])) if self._measured.any() else float(theta[SCALE])
 
     def dial_down(self, share: float) -> None:
-        """Takes up this share of B at once, as two passes show a narrower one."""
+        """Sets the scale to this share of B until a law is adopted or trusted again, as two passes of one place show a
+        narrower B; sets `dialled` to why."""
         self.scale = share
         self.dialled = (
             f"transmission.backlash: {100 * share:.0f} % of the calibrated width "

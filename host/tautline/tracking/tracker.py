@@ -139,7 +139,8 @@ class LawTracker:
         self._lean = Lean()  # of what is left where a recording begins
 
     def begin(self) -> None:
-        """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
+        """Begins a new recording, whose clock, place of the tip and posture may be others: forgets the motor's path and
+        what was judged of the last one. The law that was learnt stays in use."""
         self.recording += 1
         self._path, self._started, self._placed, self._pending = CausalPath(), False, False, None
         self._disturbance.begin_recording()
@@ -169,17 +170,18 @@ class LawTracker:
 
     @property
     def _level(self) -> float:
-        """rms of residuals over the calibration's sigma that the law in use is known to leave: its misfit and what the
-        frames of the moment scatter by."""
-        return float(np.sqrt(self._misfit**2 + self._scatter.times**2 - 1.0))
+        """rms, in the calibration's standard deviations, of the residuals that the law in use is known to leave: by its
+        misfit, and by the frames' own scatter at present."""
+        return float(np.sqrt(self._misfit**2 + self._scatter.ratio**2 - 1.0))
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
-        """Samples that came, in order of time. others (n, 2): translation (mm), rotation (deg)."""
+        """Adds samples of the motor, in order of time. t_s (n,): when they were taken, s; q (n,): its position; others
+        (n, 2): translation (mm) and rotation (deg), by default 0."""
         self._path.add(t_s, q, np.zeros((len(t_s), 2)) if others is None else others)
 
     def predict(self, scene_s: float, arrival_s: float | None = None) -> Row:
-        """The tip at a scene time, s, on the motor's clock, later than all before. arrival_s: when its frame arrived,
-        by default the scene time. The last frame is learnt from first."""
+        """Learns from the last frame, then predicts the tip at scene_s, a time, s, on the motor's clock, later than all
+        before. arrival_s: when the frame of that scene arrived, by default at scene_s."""
         self._arrival_s = scene_s if arrival_s is None else arrival_s
         self._use_last_frame()
         self._work_on_verdict()
@@ -203,12 +205,15 @@ class LawTracker:
         return Row(self.state, c, u, v, self._offset, offset_sigma, self._taken_up.scale, scale_sigma, self.reason)
 
     def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
-        """Takes the marker's position, px, in the frame that was predicted last."""
+        """Keeps the marker's position, px, in the frame that was predicted last; the next `predict` learns from it.
+        sigma_px: its standard deviation; None where it is not known. The calibration's noise counts where that is
+        larger."""
         assert self._pending is not None
         self._pending = (self._pending[0], (u_px, v_px, sigma_px or 0.0))
 
     def read(self, c_deg: float) -> None:
-        """Takes the angle sensor's reading, deg, for the frame that was predicted last."""
+        """Keeps the angle sensor's reading, deg, for the time that was predicted last; the next `predict` learns from
+        it."""
         assert self._pending is not None
         self._pending = (self._pending[0], (c_deg,))
 
@@ -273,7 +278,7 @@ class LawTracker:
 
     def _scatter_in_words(self) -> str:
         """What the frames scatter by, if it is clearly more than when the model was calibrated; else ""."""
-        times = self._scatter.times
+        times = self._scatter.ratio
         return f"; places scatter {times:.1f} times as much as in the calibration" if times > _SCATTERS else ""
 
     def _learn_from(self, scene_s: float, seen: AngleEstimate, p: float) -> None:
@@ -285,7 +290,7 @@ class LawTracker:
         loose = self._play.driven == 0.0  # nothing has carried the tip yet: it is where it is seen
         within = self._clipped_to_play(y) if loose else y
         strange = abs(y - within) > _ELSEWHERE * self._width + SURE * sigma * self._level
-        if strange and not self._disturbance.there(self._arrival_s):
+        if strange and not self._disturbance.is_disturbed(self._arrival_s):
             self._strange += 1
             if self._strange == _STRANGE_FRAMES:
                 self._begin_with_offset(y - within, within)
@@ -312,17 +317,17 @@ class LawTracker:
         self._off += _PACE * (abs(off) - self._off)
         self._scatter.add(off / sigma)
         back = self._aside.add(q, off, sigma * self._level, self.state is State.TRUSTED)
-        self._doubt(off / (sigma * self._level), scene_s)
+        self._add_to_doubts(off / (sigma * self._level), scene_s)
         if back and self.state is State.STALE:
             self._become_trusted("the image is back from something else, and the model holds")
 
-    def _doubt(self, z: float, scene_s: float) -> None:
+    def _add_to_doubts(self, z: float, scene_s: float) -> None:
         """Adds a residual, z standard deviations, to the doubts, the second one's only near a turn. A trusted law
         becomes stale where the odds of either are above JUMP."""
         onset = abs(self._window.last_q - self._strokes.turned_at) < ONSET * self._width
         for doubt in self._doubts if onset else self._doubts[:1]:
             doubt.add(z, self._strokes.number, scene_s, self._window.end - 1)
-            if doubt.here > 0.0:
+            if doubt.odds_of_part > 0.0:
                 self._doubted_in = self._strokes.number
         worst = max(self._doubts, key=lambda doubt: doubt.odds)
         if self.state is State.TRUSTED and worst.odds > JUMP:
@@ -349,7 +354,7 @@ class LawTracker:
 
     def _learn_beyond(self, seen: AngleEstimate, p: float) -> None:
         """Updates the law beyond the measured range with a frame of the present stay."""
-        if self._visit is None or self._visit.full or self._disturbance.there(self._arrival_s):
+        if self._visit is None or self._visit.full or self._disturbance.is_disturbed(self._arrival_s):
             return
         slope = float(self._law.slope(p))
         sigma = self._level * abs(slope) * float(self.nominal.sigma(p, seen.sigma / slope))
@@ -357,9 +362,9 @@ class LawTracker:
         self._law = self.nominal.law(self._theta)
 
     def _persistent_error(self) -> float:
-        """What is added to the predicted angle at a recording's begin, deg: the running mean of the residual, if it is
-        steady. It most likely goes on until the other direction tells an offset from a width."""
-        return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._lean.steady_deg
+        """What is added to the predicted angle, deg: at a recording's begin the error that all frames have alike, as it
+        most likely goes on until the other direction tells an offset from a width; else, and of a trusted law, 0."""
+        return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._lean.common_deg
 
     @property
     def _begun_lately(self) -> bool:
@@ -367,9 +372,9 @@ class LawTracker:
         return self._strokes.number <= self._fresh_until
 
     def _off_while_loose(self, y: float, p: float, within: float) -> float:
-        """By how much a tip that nothing has carried yet is off at y, the larger of two: beside the play, in which
-        `within` is nearest to y; and since it was seen last, at p, as it has no reason to move: over sqrt(2), as both
-        frames have noise. All unit of q."""
+        """By how much a tip at centre coordinate y that nothing has carried yet is off, unit of q: the larger of two.
+        One is y less `within`, the place in the play that is nearest to it. The other is y less p, where it was seen
+        last, as it has no reason to move: over sqrt(2), as both frames have noise; 0 if it was not seen yet."""
         since = (y - p) / np.sqrt(2.0) if self._placed else 0.0
         return max(y - within, since, key=abs)
 
@@ -393,7 +398,8 @@ class LawTracker:
         self._change_state(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
 
     def _use_law(self, theta: Array) -> None:
-        """Takes the law of theta into use."""
+        """Takes the law of theta (PARAMETERS,) into use; forgets what the law before it left, and passes that need no
+        longer lie on an envelope."""
         self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
         self._lean = Lean()  # the one before leaves no more
@@ -403,14 +409,14 @@ class LawTracker:
         self._offset = self.nominal.offset(theta)
 
     def _become_stale(self, since: int) -> None:
-        """The model is stale from now on; evidence counts from the entry `since`."""
+        """Sets the state to STALE; evidence counts from the window's entry `since` on."""
         self._since = since
         self._judgement.hurry()
         self._change_state(State.STALE, "the tip is not where the model says: more reversals will tell why")
 
     def _become_trusted(self, why: str) -> None:
-        """The law in use is trusted from now on: no hypothesis is judged any more, all of B that it allows is taken up
-        again, and doubts count from the next frame. why: in words, for the user."""
+        """Sets the state to TRUSTED: drops the judgement of hypotheses, takes up again all of B that the law in use
+        allows, and lets doubts count from the next frame. why: in words, for the user."""
         self._judgement.drop()
         self._taken_up.take_up_all_allowed(self._theta)
         self._clear_doubts(self._window.end)
@@ -454,7 +460,7 @@ class LawTracker:
             starts.setdefault(max(self._since, self._strokes_ago(_STALE_STROKES)), self._theta)
         elif moved and self._strokes_ago(_FEW_STROKES) <= self._since:
             starts.setdefault(self._strokes_ago(1), self._theta)
-        noise = self._scatter.times
+        noise = self._scatter.ratio
         stretches = [(self._window.since(since), origin) for since, origin in starts.items()]
         return [(replace(evidence, noise=noise), origin) for evidence, origin in stretches if evidence is not None]
 
@@ -467,7 +473,7 @@ class LawTracker:
         once it has not explained three strokes."""
         self._judgement.keep_proposal(verdict, self._strokes.number)
         if verdict.disturbed:
-            self._disturbance.judged(self._arrival_s)
+            self._disturbance.note_judgement(self._arrival_s)
         if verdict.theta is None or self._disturbance.was_judged(self._arrival_s):
             if self.state is State.STALE:
                 self.reason = self._taken_up.dialled or verdict.says
@@ -487,9 +493,9 @@ class LawTracker:
             self._change_state(State.ADAPTING, verdict.says)
 
     def _reduce_scale(self) -> None:
-        """Takes up less at once where two passes show a narrower B. The law in use goes on predicting, as it may hold
-        elsewhere."""
-        if self._disturbance.there(self._arrival_s):
+        """Lowers the share of B that is taken up where two passes of one place show a narrower B. The law in use goes
+        on predicting, as it may hold elsewhere. Does nothing while the tip is disturbed."""
+        if self._disturbance.is_disturbed(self._arrival_s):
             return
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
         if narrow is not None and narrow.share < self._taken_up.scale:
@@ -521,7 +527,7 @@ class LawTracker:
         self._law.followed.run(self._play, path + self._theta[OFFSET], True)
         self._clear_doubts(self._window.end)
         if verdict.narrower:
-            self._taken_up.no_more_than(self._theta)
+            self._taken_up.limit_to(self._theta)
         else:
-            self._taken_up.as_law(self.nominal, self._law, self._theta, verdict.passed)
+            self._taken_up.follow_law(self.nominal, self._law, self._theta, verdict.passed)
         self._reduce_scale()

@@ -17,13 +17,13 @@ _FRAMES, _KNOTS = 64, 512  # tolerance: that are looked at together: what one mo
 
 @dataclass
 class Visit:
-    """All frames of the stay are told again with each new one: where the tip was carried to depends on what they tell.
-    `before` is what was known, `play` where the elements were when it began."""
+    """The motor's path and the frames of one stay. All frames are used again with each new one: where the tip was
+    carried to depends on the law that they tell."""
 
-    before: LawFamily
-    play: Any
-    _path: list[float] = field(default_factory=list)
-    _frames: list[tuple[int, float, float]] = field(default_factory=list)  # where the path was, c, its sigma; deg
+    before: LawFamily  # what was known of the law when the stay began
+    play: Any  # where the play's elements were then
+    _path: list[float] = field(default_factory=list)  # the motor's positions since then, unit of q
+    _frames: list[tuple[int, float, float]] = field(default_factory=list)  # index in the path; c, deg; its sigma, deg
 
     @property
     def full(self) -> bool:
@@ -32,7 +32,8 @@ class Visit:
         return len(self._frames) >= _FRAMES or len(self._path) >= _KNOTS
 
     def move(self, path: Array) -> None:
-        """The motor's path went on."""
+        """Adds where the motor went since the last frame: path (m,), unit of q, in order. Once the visit is `full` it
+        is not kept."""
         if not self.full:
             self._path += path.tolist()
 

@@ -59,7 +59,8 @@ class MarkerColour:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Reads marker.toml; where it was picked, `at`, is not read back and NaN. TautError where it is none."""
+        """Reads marker.toml. The place where the colour was picked is not read back: `at` is NaN. TautError where the
+        file is no marker.toml."""
         path = Path(path)
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -80,7 +81,7 @@ class MarkerColour:
 
 def _number(document: dict[str, Any], key: str, path: Path) -> float:
     """The value of a key in marker.toml's document, a number (inf for an integer that is too large). TautError, which
-    names `path`, where it is none."""
+    names `path`, where the value is no number."""
     value = document.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
@@ -91,7 +92,8 @@ def _number(document: dict[str, Any], key: str, path: Path) -> float:
 
 
 def _three_numbers(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
-    """The value of a key in marker.toml's document, three numbers. TautError, which names `path`, where it is none."""
+    """The value of a key in marker.toml's document, three numbers. TautError, which names `path`, where the value is
+    something else."""
     value = document.get(key)
     if not isinstance(value, list) or len(value) != 3:
         raise TautError(f"{path}: {key} is {value!r}, expected three numbers: run 'taut marker' again")

@@ -72,14 +72,14 @@ class SceneTracker:
         self._step = _STEP * 2.0 * float(np.arctan(0.5 * across))
 
     def track(self, picture: Picture) -> Array | None:
-        """The camera's turn in the next frame, BGR (height, width, 3) uint8: a rotation vector (3,), rad, since the
-        first frame; None where the scene is not found again. While no frame has shown anything of the first one (that
-        was dark, or covered), turns begin anew with each frame."""
+        """Returns the camera's turn since the first keyframe, a rotation vector (3,), rad; None where the scene is not
+        found again. picture: the next frame, BGR (height, width, 3) uint8. As long as no frame has shown anything of
+        the first keyframe (that was dark, or covered), each frame becomes the first one anew."""
         grey = even_light(picture)
         if self._keyframes is None:
             return self._begin_anew(grey)
         expected = self._turns[-1] if self._turns else np.zeros(3)
-        if len(self._turns) == 2:  # the motion goes on as it went
+        if len(self._turns) == 2:  # as much further as between the last two frames: R1 R0^T R1
             expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
         turn = self._turn_by_nearest(self._keyframes, grey, expected)
         if turn is None and (turn := self._turn_by_best(self._keyframes, grey)) is None:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from tautline.errors import TautError
-from tautline.folders import whole
+from tautline.folders import whole_file
 from tautline.model import Model
 
 _QUANTILE = 1.0 / 11.0  # loss: too much is ten times as bad as too little: the least expected loss is at this one
@@ -142,5 +142,5 @@ def _write_file(out: Path, mark: str, model: Model, lines: list[str]) -> None:
         f"{mark} The full backlash of a reversal, {unit}, from B(q) measured over {low:.4g} to {high:.4g} {unit}.",
         *(f"{mark} Lost: {what}" for what in loses(model)),
     ]
-    with whole(out) as file:
+    with whole_file(out) as file:
         file.write_text("\n".join([*header, *lines]) + "\n", encoding="ascii")

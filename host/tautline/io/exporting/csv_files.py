@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from tautline.folders import replaced, write_file
+from tautline.folders import replaced_folder, write_file
 from tautline.io.exporting.log import Curve, Log, Series
 from tautline.plain import plain
 
@@ -17,7 +17,7 @@ INDEX = "columns.json"
 def write(log: Log, out: Path) -> list[Path]:
     """Writes a log into the folder `out`: a CSV file for each series and curve, and columns.json. Cells without a value
     are empty; times are in s. Returns the files written."""
-    with replaced(out, INDEX, stale=("*.csv",)) as folder:
+    with replaced_folder(out, INDEX, stale=("*.csv",)) as folder:
         listed = []
         parts: list[Series | Curve] = [*log.series, *log.curves]
         for part in parts:

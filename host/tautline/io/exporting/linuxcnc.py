@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.errors import TautError
-from tautline.folders import whole
+from tautline.folders import whole_file
 from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -45,7 +45,7 @@ def write(model: Model, out: Path, joint: str) -> list[Path]:
         *(f"# Lost: {what}" for what in loses(model)),
     ]
     beside = out.with_name(out.name + ".ini")
-    with whole(out) as file, whole(beside) as section:
+    with whole_file(out) as file, whole_file(beside) as section:
         file.write_text("\n".join([*digits, *says]) + "\n", encoding="ascii")
         section.write_text("\n".join(ini) + "\n", encoding="utf-8")  # a file's name may be of any letters
     return [out, beside]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tautline.errors import TautError
-from tautline.folders import whole, write_file
+from tautline.folders import whole_file, write_file
 from tautline.io.exporting.log import Curve, Log, Series
 from tautline.plain import plain
 
@@ -46,7 +46,7 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
     last = log.last_s(default=0.0)
     if last + shift_s >= _LATEST_S:
         raise TautError(f"{log.facts['name']}: its times end at {last:.4g} s: MCAP counts nanoseconds in 64 bits")
-    with whole(out) as file, file.open("wb") as stream:
+    with whole_file(out) as file, file.open("wb") as stream:
         writer = Writer(stream)
         writer.start(library="tautline")
         for series in log.series:

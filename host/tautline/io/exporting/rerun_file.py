@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tautline.folders import whole
+from tautline.folders import whole_file
 from tautline.io.exporting.log import Curve, Log, Series
 
 TIME, PLACE = "t_s", "q"
@@ -20,7 +20,7 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
     a timeline of their own, q in millionths of its unit. progress: gets the share done, 0 to 1, and a word."""
     import rerun as rr
 
-    with whole(out) as file:
+    with whole_file(out) as file:
         recording = rr.RecordingStream("tautline", recording_id=str(log.facts["name"]))
         recording.save(file)
         for series in log.series:

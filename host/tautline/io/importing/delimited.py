@@ -41,7 +41,7 @@ class Delimited:
         name, unit = split_unit(time, names, TIMES)
         if time and name not in names:
             raise TautError(f"{path}: has no column {name}: it has {', '.join(names)}")
-        self._time = name or self._rising(first)
+        self._time = name or self._time_column(first)
         begins = _first_text(first[self._time])
         self._dated = bool(begins) and (is_date(begins) or not self._holds_numbers(first[self._time]))
         self._day_first = not re.match(r"\d{4}", begins)
@@ -159,12 +159,14 @@ class Delimited:
         start = column.iloc[filled[0]].item() if whole else float(numbers[filled[0]])
         return unit, start if abs(start) * TIMES[unit] > EPOCH_S else 0
 
-    def _rising(self, first: pd.DataFrame) -> str:
+    def _time_column(self, first: pd.DataFrame) -> str:
         """The name of the column of times, from the first rows: one that rises as times do and has a time's name; else
-        the first with such a name, else the first that rises. TautError without any."""
+        the first with such a name, else the first that rises. A column of days alone is none. TautError without any."""
         rising = [name for name in self._layout.names if _rises(first[name])]
         called = [name for name in self._layout.names if _TIME_WORDS.match(name.strip().lower())]
-        called = [name for name in called if not (_first_text(first[name]) and first[name].nunique() == 1)]  # a day
+        # A text that is the same in all rows is the day on which they were recorded, and no time.
+        days = {name for name in called if _first_text(first[name]) and first[name].nunique() == 1}
+        called = [name for name in called if name not in days]
         found = [name for name in called if name in rising] or called or rising
         if not found:
             raise TautError(

@@ -14,7 +14,7 @@ import tomli_w
 
 from tautline import __version__, recording
 from tautline.errors import TautError
-from tautline.folders import check_replaceable, replaced
+from tautline.folders import check_replaceable, replaced_folder
 from tautline.io.importing.assemble import Assembled, Roles, assemble
 from tautline.io.importing.delimited import Delimited
 from tautline.io.importing.lerobot import LeRobot, is_dataset
@@ -126,7 +126,7 @@ def _import_all(
     skipped: list[str] = []
     first: TautError | None = None
     check_replaceable(out, IMPORT_FILE)
-    with replaced(out, IMPORT_FILE, stale=("episode_*", *recording.FILES)) as target:
+    with replaced_folder(out, IMPORT_FILE, stale=("episode_*", *recording.FILES)) as target:
         for k, each in enumerate(listed):
             progress(k / len(listed), f"episode {each}")
             name = f"episode_{each:06d}"
@@ -169,7 +169,7 @@ def _write_recording(
     with TemporaryDirectory(prefix="taut-import-") as scratch:
         made = assemble(source, episode, roles, unit, rig, Path(scratch), progress)
         known = made.rig_known or made.recording.angle is not None
-        with replaced(folder, MOTOR.file, stale=recording.FILES) as target:
+        with replaced_folder(folder, MOTOR.file, stale=recording.FILES) as target:
             recording.save(made.recording, target)
             if not known:
                 (target / "rig.toml").unlink()

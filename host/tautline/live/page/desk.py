@@ -38,7 +38,7 @@ class Picture:
 
     number: int  # of the frames so far, from 1 on
     pixels: Any  # BGR (height, width, 3) uint8
-    seen: dict[str, Any]  # what was seen in it: shown.moment
+    seen: dict[str, Any]  # what was seen in it: shown.frame_document
 
 
 class Desk:
@@ -178,10 +178,10 @@ class Desk:
         fresh = view.calibration is not self._calibration
         if now - self._shown_s >= _PROGRESS_S or fresh:
             self._shown_s = now
-            self.events.publish("progress", shown.progress(view))
+            self.events.publish("progress", shown.progress_document(view))
         if view.calibration is not None and fresh:
             self._calibration = view.calibration
-            self.events.publish("fit", shown.fit(view.calibration, view.calibrated_s))
+            self.events.publish("fit", shown.calibration_document(view.calibration, view.calibrated_s))
         self.check_stop()
 
     def doing(self, share: float, text: str) -> None:
@@ -199,7 +199,7 @@ class Desk:
         """Publishes a frame with the motor's position q at its scene, the rig's unit. Its picture is compressed only
         when a page asks for it."""
         self._frames += 1
-        seen = shown.moment(frame, q, self._bending.of(frame))
+        seen = shown.frame_document(frame, q, self._bending.of(frame))
         self.events.publish("frame", seen)
         if frame.picture is not None:
             self._picture = frame.picture

@@ -48,9 +48,9 @@ class Bending:
         return _finite(float(self._c_deg[k] + share[k] * (self._c_deg[k + 1] - self._c_deg[k])))
 
 
-def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
-    """One frame as a JSON document: arrival time, q and c_deg (motor at the frame's scene time, the rig's unit, and
-    bending angle), and the marker in px."""
+def frame_document(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
+    """One frame as a JSON document: its arrival time, s; q, the motor at its scene time, the rig's unit; c_deg, the
+    bending angle; and the marker, px."""
     seen = frame.sighting
     return {
         "t_s": frame.t_us * 1e-6,
@@ -63,7 +63,7 @@ def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
     }
 
 
-def progress(view: View) -> dict[str, Any]:
+def progress_document(view: View) -> dict[str, Any]:
     """A live calibration's progress as a JSON document: what is being done, what was seen, what is missing."""
     seen, known = in_short(view)
     return {
@@ -104,10 +104,10 @@ def missing(view: View) -> list[str]:
     return said
 
 
-def fit(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
-    """A calibration as a JSON document: `backlash` and its onsets. seconds: of recording that it is from, None for
-    all."""
-    return backlash(calibration.model) | {
+def calibration_document(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
+    """A calibration as a JSON document: `backlash_document` and its onsets, but those without a finite width. seconds:
+    how much of the recording it is from, s; None for all of it."""
+    return backlash_document(calibration.model) | {
         "seconds": seconds,
         "onsets": [
             {"q": o.q_mean, "width": o.width, "sigma": _finite(o.sigma), "direction": o.direction, "used": o.used}
@@ -117,8 +117,9 @@ def fit(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
     }
 
 
-def backlash(model: Model) -> dict[str, Any]:
-    """A model's B(q) with its sigma at _NODES places, delay and verdict, as a JSON document; without onsets."""
+def backlash_document(model: Model) -> dict[str, Any]:
+    """A model as a JSON document: B(q) with its sigma, unit of q, at _NODES places of the measured range, the delay,
+    ms, and the verdict with its reasons. It has no onsets."""
     low, high = model.measured
     q = np.linspace(low, high, _NODES) if low < high else np.zeros(0)
     return {
@@ -137,10 +138,10 @@ def backlash(model: Model) -> dict[str, Any]:
     }
 
 
-def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str) -> dict[str, Any]:
+def diagnosis_document(document: Mapping[str, Any], answers: Sequence[Leading], why: str) -> dict[str, Any]:
     """A live diagnosis so far as a JSON document: its answers, what led after each recording, what the next motion is
-    for, and why there is none. document: diagnosis.json; answers: what led; why: the diagnosis ends, "" if it goes
-    on."""
+    for, and why there is none. document: the content of diagnosis.json; answers: what led, by recording; why: why the
+    diagnosis ends, "" if it goes on."""
     following = document["next_motion"]
     probable = sorted(answers_of(document).items(), key=lambda item: -item[1])
     return {
@@ -152,9 +153,9 @@ def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str)
     }
 
 
-def holds(row: Row, t_s: float) -> dict[str, Any]:
-    """A tracker's row at t_s as a JSON document: state with its reason, offset (the rig's unit) and scale of B, with
-    sigmas."""
+def row_document(row: Row, t_s: float) -> dict[str, Any]:
+    """A tracker's row at time t_s, s, as a JSON document: the state and its reason, the offset (the rig's unit) and the
+    scale of B, with their sigmas."""
     numbers = {name: _finite(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")}
     return {"t_s": t_s, "state": row.state.value, "reason": row.reason} | numbers
 

@@ -36,7 +36,7 @@ class Work(Protocol):
 
     @property
     def rig(self) -> Rig:
-        """Of the set-up or the recording."""
+        """The rig of the set-up or of the recording."""
 
     @property
     def about(self) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class _OnSetUp:
 
     @property
     def rig(self) -> Rig:
-        """Of the set-up."""
+        """The rig of the set-up."""
         return self.live.rig
 
     def idle(self, desk: Desk) -> None:
@@ -151,11 +151,11 @@ class Watching(_OnSetUp):
 
     def run(self, desk: Desk) -> str:
         """Keeps the model calibrated until stopped, or for duration_s."""
-        desk.events.publish("fit", shown.backlash(self.model))
+        desk.events.publish("fit", shown.backlash_document(self.model))
 
         def show_row(row: Row, t_s: float) -> None:
             """Publishes a row of the tracker."""
-            desk.events.publish("holds", shown.holds(row, t_s))
+            desk.events.publish("holds", shown.row_document(row, t_s))
 
         def seen(frame: Frame, q: float) -> None:
             """Publishes a frame; Stopped where stop was pressed, or nobody watches a motion."""
@@ -192,7 +192,7 @@ class Diagnosing(_OnSetUp):
     def run(self, desk: Desk) -> str:
         """Diagnoses, recording the motions that this asks for, and writes the diagnosis to `out`."""
         answers: list[Leading] = []
-        desk.events.publish("fit", shown.fit(self.calibration, None))
+        desk.events.publish("fit", shown.calibration_document(self.calibration, None))
         desk.events.publish("diagnosis", None)
 
         def seen(frame: Frame) -> None:
@@ -203,9 +203,10 @@ class Diagnosing(_OnSetUp):
                 raise Stopped
 
         def answered(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
-            """Publishes a diagnosis; if another motion follows, waits until a page is open."""
+            """Publishes a diagnosis and what leads now. why: why the diagnosis ends, "" while another motion follows:
+            then waits until a page is open; Stopped where stop was pressed meanwhile."""
             answers.append(leading)
-            desk.events.publish("diagnosis", shown.diagnosis(diagnosis.document, answers, why))
+            desk.events.publish("diagnosis", shown.diagnosis_document(diagnosis.document, answers, why))
             while not why and desk.resting():
                 desk.check_stop()
 

@@ -14,11 +14,11 @@ import numpy.typing as npt
 
 from tautline.effects import BY_ID, of_this_version
 from tautline.elements import SINGLE, Elements, warp_of
-from tautline.folders import replaced, write_file
+from tautline.folders import replaced_folder, write_file
 from tautline.io.exporting.export import Exported
 from tautline.io.exporting.mjcf import measure, transmission
 from tautline.io.exporting.mjcf.chain import Chain, fit, fit_sum
-from tautline.io.exporting.mjcf.nominal import OWN, Nominal, look
+from tautline.io.exporting.mjcf.nominal import OWN, Nominal, read_nominal
 from tautline.io.exporting.mjcf.scene import CENTRE, LAGGING, LEAD, MOTOR, TIP, Law, Scene
 from tautline.model import Effect, Model, allowed_width, monotone
 from tautline.plain import plain
@@ -48,10 +48,10 @@ def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str]
     export.json. mount: the user's MJCF and what in it. Takes 5 to 30 s, as the scenes are simulated to say what they
     leave; progress: gets the share done, 0 to 1, and a word. TautError where MJCF and model do not go together."""
     tip_rad = np.radians(model.c_deg)
-    nominal = look(mount, model.rig.actuator.unit, model.rig.actuator.range, tip_rad)
+    nominal = read_nominal(mount, model.rig.actuator.unit, model.rig.actuator.range, tip_rad)
     progress(0.05, "polynomials")
     law = law_of(model)
-    with replaced(out, REPORT, stale=(WARP,)) as folder:
+    with replaced_folder(out, REPORT, stale=(WARP,)) as folder:
         rest = callback_files(model, nominal)
         # What a scene leads to is named from where it lies: here while it is measured, in the end from `out`.
         for name, text in {**scenes(nominal, law, folder), **rest}.items():
@@ -70,7 +70,7 @@ def law_of(model: Model) -> Law:
     low, high = model.rig.actuator.range
     middle = 0.5 * (low + high)
     x, angle, half = model.q - middle, np.radians(model.c_deg), 0.5 * model.width
-    lag = _parameters(model).get("lag", 0.0)
+    lag = _callback_parameters(model).get("lag", 0.0)
     return Law(
         middle=middle,
         span=high - low,
@@ -91,8 +91,9 @@ def _at_least_zero(half: Chain, x: Array) -> Chain:
     return replace(half, links=(*half.links[:-1], last))
 
 
-def _parameters(model: Model) -> dict[str, float]:
-    """The parameters, by name, of those of a model's effects that the callback simulates by their own equations."""
+def _callback_parameters(model: Model) -> dict[str, float]:
+    """The parameters, by name, of those of a model's effects that transmission.py, the callback of the export,
+    simulates by their own equations: not of a gradual onset, for which elements stand (`callback_files`)."""
     return {
         name: float(value)
         for effect in of_this_version(model)
@@ -149,7 +150,7 @@ def _about(model: Model, nominal: Nominal, elements: Elements, narrow: float) ->
         "leads": f"{TIP}_equal",  # of them the one that holds the tip
         "elements": elements.to_json(),
         "narrow": narrow if stands_in else 0.0,
-        "parameters": _parameters(model),
+        "parameters": _callback_parameters(model),
         "delay_s": model.delay_s,
     }
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.simulators.mjcf import scale_of
-from tautline.simulators.scene import joints_of, read, tip_of
+from tautline.simulators.scene import joints_of, read_mujoco, tip_of
 
 if TYPE_CHECKING:
     from tautline.io.exporting.export import Mount
@@ -36,15 +36,15 @@ class Nominal:
     timestep: float  # s
 
 
-def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:
-    """Reads the user's MJCF and finds actuator and tip in it. unit: of q; motor: the motor's range, in it; tip_rad:
-    angles (n,) that the tip takes. TautError names what is not there, or does not go together."""
+def read_nominal(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:
+    """Reads the user's MJCF and finds actuator and tip in it. unit: of q; motor: the motor's range, in that unit;
+    tip_rad: angles (n,), rad, that the tip takes. TautError names what is not there, or does not go together."""
     import mujoco
 
     if not mount.into.is_file():
         raise TautError(f"{mount.into}: there is no such file: name your MJCF with --into")
     scale = scale_of(mount.scale, unit)
-    model = read(mount.into)
+    model = read_mujoco(mount.into)
     if taken := [name for name in joints_of(model) if name.startswith(OWN)]:
         raise TautError(f"{mount.into}: {taken[0]} is in it already: export into the MJCF as it was before")
     _check_actuator(model, mount, scale, unit, motor)
