@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tautline.diagnosis.decide import _next_to_name, decide
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
+from tautline.diagnosis.stacked import Stacked
 from tautline.plain import plain
 
 FLOOR = 0.05
@@ -18,6 +19,7 @@ NOTHING = np.zeros(BLOCKS)
 LAG, CREEP, DRIFT = "transmission.lag", "transmission.creep", "transmission.drift"
 STICK, STATIC, DELAY = "transmission.stick_slip", "registration.static", "acquisition.delay"
 JITTER = "acquisition.jitter"
+SHIFT = "registration.shift"
 
 
 def power(share: float, before: float) -> np.ndarray:
@@ -575,3 +577,30 @@ def test_what_an_event_gets_back_is_inherited_by_no_hypothesis_without_one():
     twice = decide(replace(found, hypotheses=(*found.hypotheses, *with_event)))
     odds = [verdict.posterior[1] / verdict.posterior[2] for verdict in (once, twice)]
     assert odds[1] == pytest.approx(odds[0], rel=0.5) and odds[0] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("times", "verdict"), ((1.2, "none"), (1.5, "none"), (2.0, "unknown"), (2.7, "unknown"), (4.0, "unknown"))
+)
+def test_what_a_calibration_leaves_beyond_any_nominal_model_has_an_unknown_cause(times, verdict):
+    """Tests as bad as the calibration's own recording, which no effect explains: up to 1.5 times the noise a nominal
+    model's misfit, from twice on a cause that was there from the start."""
+    gap = evidence({(LAG,): 0.9, (CREEP,): 0.95}, before=times**2 - 1.0)
+    said = decide(replace(gap, calibrated=times**2 * FLOOR**2))
+    assert said.name == verdict and said.none + said.unknown > 0.9
+    assert said.early > 0.7  # of what is unknown
+
+
+def test_an_unknown_cause_that_came_later_was_not_there_from_the_start():
+    said = decide(replace(evidence({(LAG,): 0.5, (CREEP,): 0.6}), calibrated=1.1 * FLOOR**2))
+    assert said.name == "unknown" and said.early < 0.01
+
+
+def test_parameters_count_no_more_than_the_blocks_that_they_change():
+    """A shift near the end of one test: seven numbers that three blocks tell."""
+    blocks = np.where(np.arange(BLOCKS) < BLOCKS - 3, 0.0, 1.0)
+    gap, left = FLOOR**2 * (1.0 + 60.0 * blocks), FLOOR**2 * (1.0 + 0.1 * blocks)
+    weighed = (Weighed((), gap, NOTHING, NOTHING, 0), Weighed((SHIFT,), left, NOTHING, NOTHING, 7))
+    found = CaseEvidence(FLOOR, gap, weighed, 18, calibrated=FLOOR**2)
+    np.testing.assert_allclose(Stacked(found).acts, (BLOCKS, 3.0))
+    assert decide(found).named == (SHIFT,)

@@ -197,7 +197,7 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: L
 def wanders(evidence: CaseEvidence) -> list[bool]:
     """For each hypothesis, whether the amplitude of one of its effects varies over place, speed, time, side or load so
     much that a wrong effect is CLEARLY times likelier than a right one."""
-    log_ratios = Likelihoods(Stacked(evidence), learnt().center).steady  # right over wrong
+    log_ratios = Likelihoods(Stacked(evidence), learnt().center).log_ratio_of_steadiness  # right over wrong
     return [bool(log_ratio < -np.log(CLEARLY)) for log_ratio in log_ratios]
 
 

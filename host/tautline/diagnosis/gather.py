@@ -202,9 +202,9 @@ class _Hypotheses:
             self._add_with_posture(below)
 
     def add_posture_beside_delay(self) -> None:
-        """Adds another posture on top of a delay alone where no image is seen and each single effect leaves more than
-        noise: without an image only the fit tells a delay from a width at one speed. Nothing where no effect may have
-        come after the calibration."""
+        """Adds another posture on top of a delay alone, for an angle sensor: without an image a delay and a change of B
+        look alike at one speed, so that no single effect may be right. Only if the delay alone was fitted, even the
+        best single effect leaves more than noise, and an effect may have come after the calibration."""
         if self.search.allows_later_effects and not self.search.fitter.px:
             delay = next((candidate for candidate in self.candidates if candidate.ids == (DELAY,)), None)
             if delay is not None and self._best_single_is_open():

@@ -57,7 +57,7 @@ class Likelihoods:
         replaced = self._replaced_by_contained
         reached = self._with_imitating_misfit(own, replaced)
         confined = case.confined_log_ratio(hyper.floor_known, hyper.floor_steady, hyper.disturbed)
-        self.log_likelihood: Array = np.where(replaced, -np.inf, reached + confined + self.steady)
+        self.log_likelihood: Array = np.where(replaced, -np.inf, reached + confined + self.log_ratio_of_steadiness)
         self.unknown = self._log_likelihood_of_unknown(np.maximum(right, reached), replaced)
 
     @cached_property
@@ -77,7 +77,11 @@ class Likelihoods:
             i = best.get(frozenset({name}))
             if i is None:
                 return -np.inf
-            return -float(self._case.mean[i]) if by_power else float(self.log_likelihood[i] - self.steady[i])
+            return (
+                -float(self._case.mean[i])
+                if by_power
+                else float(self.log_likelihood[i] - self.log_ratio_of_steadiness[i])
+            )
 
         return max((alone(name), name) for name in self._case.leaders[key])[1]
 
@@ -185,11 +189,12 @@ class Likelihoods:
 
     @property
     def _log_chance_of_misfit(self) -> Array:
-        """(pairs,) Of hypotheses of which the second has one effect more: logarithm of the probability that what this
-        one closes is only misfit that the first, right ones leave. It is the probability that misfit is as large,
-        log-normally falling beyond the share that right effects may well leave, times the share of it that is left
-        (_ALIKE): so improbable is it that it looks so like the further effect, if the share that this closes is
-        uniform. Without the latter for parts of the nominal model: curves by place follow any small misfit."""
+        """(pairs,) For pairs of hypotheses, of which the second has one effect more: logarithm of the probability that
+        what it closes is only misfit, which right effects, those of the first, leave. With `left` and `after`, the mean
+        power above floor^2 that the first and the second leave, and s = (left - after) / (`inexact` power of the
+        first), it is log Phi(-log(s / most) / share_spread), as misfit has to be so large, plus log(after / left)
+        within _ALIKE, as it has to look like the further effect by chance. The second term is 0 where all effects of
+        the second are parts of the nominal model: curves by place follow any small misfit."""
         case = self._case
         left, after = (np.maximum(case.mean[of] - case.floor2, 1e-300) for of in (case.fewer, case.further))
         may_leave = np.maximum(np.mean(case.inexact[case.fewer], axis=1), 1e-300)
@@ -199,11 +204,11 @@ class Likelihoods:
         return np.asarray(as_large + np.where(parts, 0.0, np.log(np.clip(after / left, *_ALIKE))))
 
     @cached_property
-    def steady(self) -> Array:
-        """(hypotheses,) Log-likelihood ratio of a right effect to a wrong one by how much its amplitude varies over
-        place, speed, time, side and load: the share by which a right one's varies is exponential with mean `wanders`; a
-        share `mimics` of wrong ones is as steady, of the others it is exponential with mean 1. The effect with the
-        least ratio counts, 0 at most."""
+    def log_ratio_of_steadiness(self) -> Array:
+        """(hypotheses,) log p(w | right) - log p(w | wrong) of the effect with the least ratio, and never above 0. w is
+        the share of itself by which an effect's amplitude varies over place, speed, time, side and load (wander.py).
+        Right: w is exponential with mean `wanders` for effects of geometry and time, `wanders_material` for all
+        others. Wrong: with probability `mimics` as right, else exponential with mean 1."""
         case, hyper = self._case, self.hyper
         means = np.where(case.geometry, hyper.wanders, hyper.wanders_material)
         right, wrong = (log_sum(case.wander + _log_exponential(mean[:, None])) for mean in (means, np.ones_like(means)))

@@ -67,10 +67,11 @@ def _student_log_density(x: Array) -> Array:
 
 
 def _wander_log_ratio(matrix: Array, gradient: Array) -> Array:
-    """(WANDERS,) Log-likelihood ratio of an amplitude that varies, its m factors a ~ N(0, w^2 / m) for each w of
-    WANDERS, against a constant one: with eigenpairs (l, v) of matrix / m and b = v'gradient / sqrt(m), it is
-    sum(w^2 b^2 / (1 + w^2 l) - log(1 + w^2 l)) / 2. matrix (m, m), gradient (m,): the factors' normal equations over
-    the noise's power."""
+    """(len(WANDERS),) For each w of WANDERS: log of p(residuals | the effect's amplitude varies) / p(residuals | it is
+    constant). If it varies, the coefficients of m polynomials of place, speed, time, side and load by which the
+    effect's signal is multiplied (wander.py) are N(0, w^2 / m) each. With eigenpairs (l, v) of matrix / m and b =
+    v'gradient / sqrt(m) the ratio is sum(w^2 b^2 / (1 + w^2 l) - log(1 + w^2 l)) / 2. matrix (m, m), gradient (m,):
+    normal equations of the coefficients, divided by the noise's power."""
     eigenvalues, vectors = np.linalg.eigh(matrix / len(gradient))
     squares, eigenvalues = np.square(vectors.T @ gradient) / len(gradient), np.maximum(eigenvalues, 0.0)
     variance = np.square(WANDERS)[:, None]
@@ -287,7 +288,9 @@ class Stacked:
         return square, -0.5 * (tells - 1.0) * (np.log(noise) + of_noise / noise)
 
     def _log_likelihood_by_share(self, tells: float, freedom: float, excess: float) -> Array:
-        """(hypotheses, SHARES) Log-likelihood of all blocks' powers if a hypothesis leaves that share of the gap."""
+        """(hypotheses, SHARES) Log-likelihood of all blocks' powers if a hypothesis' effects leave each of SHARES of
+        the gap's power (`before`). tells, freedom, excess: the hyperparameters noise_tells, block_freedom and
+        calibration_excess."""
         every = np.arange(len(self.sets))
         return self._log_likelihood_of_shares(every, np.tile(self.before, (len(every), 1)), tells, freedom, excess)
 
