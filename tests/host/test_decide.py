@@ -603,4 +603,4 @@ def test_parameters_count_no_more_than_the_blocks_that_they_change():
     weighed = (Weighed((), gap, NOTHING, NOTHING, 0), Weighed((SHIFT,), left, NOTHING, NOTHING, 7))
     found = CaseEvidence(FLOOR, gap, weighed, 18, calibrated=FLOOR**2)
     np.testing.assert_allclose(Stacked(found).acts, (BLOCKS, 3.0))
-    assert decide(found).named == (SHIFT,)
+    assert decide(found).leading[SHIFT] > 0.9
