@@ -41,6 +41,7 @@ class Decision:
     alternatives: tuple[str, ...] = ()  # to the last named effect: one of these or it is there
     count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one counts as one
     early: float = 0.0  # share of `unknown`: that the cause was there while calibrating, and nothing changed since
+    noise: float = 0.0  # share of `unknown`: that the tests' noise is another one, and nothing else changed
 
     @property
     def name(self) -> str:
@@ -73,7 +74,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
     learned = learned or learnt()
     case = Stacked(evidence)
     likelihoods = Likelihoods(case, learned.center)
-    p, early = _posterior(likelihoods)
+    p, early, noise = _posterior(likelihoods)
     best = likelihoods.best
 
     leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
@@ -97,6 +98,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
         alternatives=tuple(alternatives) if named and named[-1] not in parts else (),
         count=_count_probabilities(case, p),
         early=early,
+        noise=noise,
     )
 
 
@@ -150,15 +152,15 @@ def _count_probabilities(case: Stacked, p: Array) -> tuple[float, ...]:
 def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[float, float, float]:
     """Probabilities of none, of unknown and of `effect` to lead, as `decide` finds them with these hyperparameters."""
     likelihoods = Likelihoods(case, hyper)
-    (p, _), best = _posterior(likelihoods), likelihoods.best
+    p, best = _posterior(likelihoods)[0], likelihoods.best
     leads = (float(p[i]) for key, i in best.items() if effect in key and likelihoods.leader(key, best) == effect)
     return float(p[0]), float(p[-1]), sum(leads)
 
 
-def _posterior(likelihoods: Likelihoods) -> tuple[Array, float]:
+def _posterior(likelihoods: Likelihoods) -> tuple[Array, float, float]:
     """((hypotheses + 1,) posterior probability of each hypothesis, likelihood times prior over their sum, and last that
-    of an unknown cause: of scatter, of a path, or of what the calibration leaves of itself; the share of the latter).
-    Among hypotheses with the same effects only the best has any."""
+    of an unknown cause; shares of the latter: of what the calibration leaves of itself, and of another noise, where
+    nothing else changed). Among hypotheses with the same effects only the best has any."""
     best = list(likelihoods.best.values())
     log = np.full(len(likelihoods.log_likelihood) + 1, -np.inf)
     log[best] = likelihoods.log_likelihood[best] + likelihoods.prior[best]
@@ -167,8 +169,11 @@ def _posterior(likelihoods: Likelihoods) -> tuple[Array, float]:
     log[-1] = log_sum(np.append(unknown_scatter, unknown_path))
     p = np.exp(log - log_sum(log))
     from_start = likelihoods.unknown_from_start * float(p[0])
-    p[0], p[-1] = p[0] - from_start, p[-1] + from_start
-    return p, from_start / max(float(p[-1]), 1e-300)
+    of_noise = likelihoods.unknown_noise * (float(p[0]) - from_start)
+    p[0] -= from_start + of_noise
+    p[-1] += from_start + of_noise
+    unknown = max(float(p[-1]), 1e-300)
+    return p, from_start / unknown, of_noise / unknown
 
 
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: Learnt | None = None) -> Decision:

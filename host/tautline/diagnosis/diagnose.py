@@ -170,6 +170,8 @@ def _prepared(
     fitter, frozen = _fitter_and_residuals(model, tracked.segments if tracked else segments, load_mNm, simulated)
     base = _recalibrated(fitter, frozen, tracked)
     fitter.floor = _noise_floor(fitter, frozen[0], base, tracked.noise if tracked else 0.0)
+    if simulated is None:
+        fitter.noisier = gap.noise_change(fitter.segments, fitter.across(base))
     kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
     hidden = confounded.hidden(kinds, fitter.segments)
     return _Prepared(model, fitter, tracked, frozen, base, [kind for kind in kinds if kind.id not in hidden], hidden)

@@ -273,6 +273,7 @@ class _Hypotheses:
             hypotheses=tuple(replace(h, chance=self._chance(i)) for i, h in enumerate(self._weighed)),
             applicable=len(self.search.kinds),
             calibrated=self._calibrated,
+            noisier=fitter.noisier,
             doubt=fitter.doubt,
             unsteady=fitter.unsteady,
         )

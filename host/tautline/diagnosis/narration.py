@@ -84,6 +84,11 @@ def _unknown_sentence(document: Mapping[str, Any]) -> str:
             f"Nothing has changed since the calibration, but a gap of {before}, {times}, was there already: the "
             f"calibration leaves as much of its own recording, and no known effect explains it{_pattern(document)}."
         )
+    if document.get("unknown_noise", 0.0) > _EARLY:
+        return (
+            f"Nothing beyond noise is left, {before}, but the noise is {document['noisier']:.2g} times that of the "
+            "calibration, for an unknown reason."
+        )
     small = _is_small(document)
     what = "Nothing large is left: a small gap" if small else "A gap"
     pattern = "" if small else _pattern(document)
@@ -275,6 +280,8 @@ def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
         return []
     if _was_early(document):
         return [NextStep("See what the calibration's own verdict says, and calibrate again once that is mended.")]
+    if document.get("unknown_noise", 0.0) > _EARLY:
+        return [NextStep("Look for what shakes the camera or the tip, and at the light and the focus.")]
     where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:_PLACES]])
     return [NextStep(f"Look at the instrument where the gap is largest: {where}.")]
 

@@ -107,7 +107,7 @@ class Stacked:
         """Reads all arrays out of the evidence of a case."""
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
-        self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
+        self._doubt, self._unsteady, self.noisier = evidence.doubt, evidence.unsteady, evidence.noisier
         # A block with less power than the noise has had less noise, whatever the hypothesis.
         self.frozen = np.maximum(evidence.frozen, self.floor2)  # (blocks,) left by the calibrated model as it is
         self.applicable = evidence.applicable
