@@ -104,7 +104,7 @@ def _path_may_be_one_of(known: Beforehand, fitted: Fitted) -> bool:
     size, told = basis.size, []
     for k, spread in enumerate(known.path):
         design, block = basis.design(spread.q).toarray(), slice(k * size, (k + 1) * size)
-        told.append(spread.has(design @ follow[:, k], design @ fitted.covariance[block, block] @ design.T))
+        told.append(spread.may_contain(design @ follow[:, k], design @ fitted.covariance[block, block] @ design.T))
     return all(told)
 
 

@@ -29,7 +29,7 @@ def _varying_share(fitted: Fitted) -> float:
     the effect is; 1 where a value ended at an end of its range: the fit says nothing of it then, and it may be as
     without the effect."""
     effects, values = fitted.effects_and_values
-    return 1.0 if effects.ended(values) else learnt().center.wanders_material
+    return 1.0 if effects.any_at_end(values) else learnt().center.wanders_material
 
 
 def allowing_for_wander(fitted: Fitted) -> Fitted:
