@@ -66,7 +66,7 @@ class AlignedTracks:
 
     @classmethod
     def as_it_is(cls, tracks: Sequence[Track]) -> AlignedTracks:
-        """The tracks as they are: no clock is off."""
+        """The tracks with their times unchanged: every offset is 0."""
         return cls(list(tracks), (0.0,) * len(tracks), ())
 
     @property
@@ -81,21 +81,23 @@ class AlignedTracks:
         return {track.name: offset for track, offset in pairs if offset}
 
     def among(self, every: Sequence[Track]) -> tuple[list[Track], list[float]]:
-        """`every` track and the offset of its clock, s, where these are those of them that have frames: the others are
-        as they were, with 0."""
+        """`every` track with the offset of its clock, s. These aligned tracks are those of `every` that have frames, in
+        the same order, and take their places; a track without frames stays, with offset 0."""
         own = iter(zip(self.tracks, self.offsets_s, strict=True))
         pairs = [next(own) if len(track.t_s) else (track, 0.0) for track in every]
         return [track for track, _ in pairs], [offset_s for _, offset_s in pairs]
 
     @property
     def seen(self) -> AlignedTracks:
-        """These without the tracks of which no frame was left: the tip followed a step of the motor in all."""
+        """The same without tracks of which no frame was left, as the tip followed a step of the motor in all of
+        them."""
         kept = [pair for pair in zip(self.tracks, self.offsets_s, strict=True) if len(pair[0].t_s)]
         return replace(self, tracks=[track for track, _ in kept], offsets_s=tuple(offset_s for _, offset_s in kept))
 
     def with_delay(self, delay: Delay, nominal_s: float) -> tuple[AlignedTracks, Delay]:
         """These tracks and a delay that was found on them. If every clock was off, delay and offsets cannot be told
-        apart: the delay is set to the nominal one then, and the offsets take the difference."""
+        apart: then the delay is set to the nominal one, and the difference is added to the offsets. (The tracks' times
+        stay.)"""
         if not self.offsets_s or not all(self.offsets_s):
             return self, delay
         offsets = tuple(offset + delay.delay_s - nominal_s for offset in self.offsets_s)
@@ -103,10 +105,10 @@ class AlignedTracks:
 
 
 def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool = False) -> list[Recording]:
-    """Recordings with the offsets of their sensors' clocks taken off. Differences between recordings that are no larger
-    than a delay may be are left: an effect that is not known yet may make one motion's stops later than another's.
-    one_clock: whether the session's calibration had sensor and motor on one clock; a lag of up to _NEAR_S is then
-    sooner an effect's than another clock's, and left too."""
+    """Recordings with the offsets of their sensors' clocks taken off. A lag that is no larger than a delay may be is
+    not taken off: an effect that is not known yet may make one motion's stops later than another's. one_clock: the
+    session's calibration had sensor and motor on one clock; then a lag of up to _NEAR_S is sooner an effect's than
+    another clock's, and is not taken off either."""
     every, reach_s = observe(recordings, rig), _NEAR_S if one_clock else DELAY_REACH_S
     seen = [track for track in every if len(track.t_s)]
     aligned = align(seen, rig, same_delay_for_all=False, reach_s=reach_s)
@@ -118,10 +120,11 @@ def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool
 def align(
     tracks: Sequence[Track], rig: Rig, *, same_delay_for_all: bool = True, reach_s: float = DELAY_REACH_S
 ) -> AlignedTracks:
-    """Each track with the offset of its clock found and taken off, or the reasons why it cannot be. A track that fits
-    its nominal delay stays as it is, unless same_delay_for_all and its image stops at another delay than those of the
-    other recordings: one camera has one delay. Without, such a difference may be an effect's. Frames at which the tip
-    follows a step of the motor are left out first. reach_s: as of `find_offset`."""
+    """Takes the offset of its clock off each track's times, or gives fatal reasons why an offset cannot be trusted. A
+    track that fits its nominal delay is left as it is, unless same_delay_for_all and its image stops at another delay
+    than those of the other recordings, as one camera has one delay. (If not same_delay_for_all, such a difference may
+    be an effect's.) Frames at which the tip follows a step of the motor are left out first. reach_s: as in
+    `find_offset`."""
     tracks, stepping, notes = without_steps(tracks, rig)
     notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
     if stepping:
@@ -157,9 +160,11 @@ def _offset_reason(track: Track, offset_s: float) -> Reason:
 def _at_one_delay(
     tracks: list[Track], offsets: list[float], rig: Rig, same_delay_for_all: bool
 ) -> tuple[list[Track], list[float]]:
-    """Tracks and their offsets, s, with all images at one delay, as a camera has one: the likeliest delay of a track
-    whose clock was right. Tracks whose images stop at a clearly different one are shifted to it if all their frames
-    bear it; without same_delay_for_all only those that have an offset already."""
+    """Tracks and their offsets, s, after those whose images stop at a clearly different delay were shifted to the delay
+    of the best recording, since a camera has one delay; the best is the likeliest one with a clock that was right.
+    Shifted are only tracks whose frames all fit the other delay (`_fits_at_own_delay`) and, if not same_delay_for_all,
+    that have an offset already. All stay as they are unless there are two markers' tracks or more, one of them with
+    offset 0."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
         return tracks, offsets
     delays = [delay_of_stops([track], rig) for track in tracks]
@@ -181,9 +186,9 @@ def _at_one_delay(
 
 
 def _fits_at_own_delay(track: Track, rig: Rig, own_s: float, best_s: float) -> bool:
-    """Whether all frames of the track fit about as well at own_s, the delay of its stops, as at best_s. If not, only
-    the stops are late, as those of a slow motion are behind a codec that holds back what moves little. Yes where frames
-    tell nothing."""
+    """Whether all frames of the track fit about as well at own_s, the delay of its stops, as at best_s. If they do not,
+    only its stops are late, as those of a slow motion are behind a codec that holds back what moves little. True if
+    frames tell nothing."""
     scan = LagScan.of(track, rig, FRAMES[0])
     if scan is None:
         return True
@@ -192,8 +197,8 @@ def _fits_at_own_delay(track: Track, rig: Rig, own_s: float, best_s: float) -> b
 
 
 def _corrected(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
-    """The track with its offset taken off, and that offset, s, refined by the delay that is found then if that is known
-    to _SURE_S."""
+    """The track with its clock's offset taken off, and that offset, s. The offset is refined by the delay that is then
+    found on the track, if that is known to _SURE_S."""
     offset_s = offset.offset_s
     near = replace(track, t_s=track.t_s - offset_s)
     delay = delay_of_all([near], rig) if track.sensor == ANGLE else find_delay([near], rig, nominal_s)
@@ -220,9 +225,10 @@ def delay_jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def find_offset(track: Track, rig: Rig, reach_s: float = DELAY_REACH_S) -> Offset | None:
-    """The offset of the track's clock within REACH_S: 0 if the nominal delay fits (or a lag within reach_s of it does),
-    with a misfit of 1 if no lag can be tried. None if the track shows no motion to tell it by. reach_s: up to _NEAR_S;
-    a lag that is farther from the nominal delay is no delay but another clock."""
+    """The offset of the track's clock, within REACH_S. It is 0 if the nominal delay, or a lag within reach_s of it,
+    fits; misfit 1 if no lag could be tried. Other offsets that fit about as well are its rivals. None if the track
+    shows no motion to tell it by. reach_s (up to _NEAR_S): a lag farther than this from the nominal delay is another
+    clock, not a delay."""
     scan = LagScan.of(track, rig, FRAMES[0])
     if scan is None:
         return None
@@ -258,14 +264,15 @@ def _lags_around(lag_s: float, reach_s: float) -> Array:
 
 
 def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
-    """The minima of the misfit over lags (n,), s, that are within _RIVAL of the least, best first. Two with no ridge of
-    _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with (to _COARSELY
-    of that); fine: more, to refine with."""
+    """The minima of the misfit over lags (n,), s, that leave at most _RIVAL times the least, best first. Two minima are
+    taken for one if they are within _APART_S or no ridge of _RIDGE times the misfit is between them. scan: of few
+    frames, to search with, where up to _COARSELY times as much is let through; fine: of more frames, to refine each
+    minimum."""
     least_misfits = scan.least_misfits(lags)
     finite = np.where(np.isfinite(least_misfits), least_misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])
-    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= _COARSELY * _RIVAL * finite.min() + 1e-12)
-    at = np.flatnonzero(lowest & np.isfinite(least_misfits))
+    candidate = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= _COARSELY * _RIVAL * finite.min() + 1e-12)
+    at = np.flatnonzero(candidate & np.isfinite(least_misfits))
     minima = sorted((fine.minimum_near(float(lags[i])) for i in at), key=lambda one: one.misfit)
     rivals: list[Minimum] = []
     for one in minima:
@@ -316,8 +323,9 @@ def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
 
 
 def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
-    """The delay at which the image stops (`find_delay`) around the nominal one; if that ends at the edge of what it
-    looks through, around the delay at which all frames fit best."""
+    """The delay at which the image stops, looked for around the nominal one (`find_delay`). If the result is at the
+    edge of what that looks through, it is looked for once more, around the delay at which all frames fit best or, if
+    that is the nominal one, around the edge; the second result counts if it is not at its edge."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
     delay = find_delay(tracks, rig, nominal_s)
     if abs(delay.delay_s - nominal_s) < _EDGE_S and np.isfinite(delay.sigma_s):
@@ -331,9 +339,9 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
 
 
 def _start_of_search(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
-    """Where `find_delay` is to start, s: the one of 2 _EITHER_WAY + 1 lags within DELAY_REACH_S of the nominal delay
-    that leaves the least misfit, where that is less than _CLEARLY_LESS of the nominal one's and the lag is farther from
-    it than `find_delay` comes by itself (_BY_ITSELF_S); else the nominal delay."""
+    """Where `find_delay` is to start, s. Of 2 _EITHER_WAY + 1 lags within DELAY_REACH_S of the nominal delay the one of
+    least misfit, if that is less than _CLEARLY_LESS of the nominal delay's and the lag is more than _BY_ITSELF_S away,
+    as far as `find_delay` surely comes by itself; else the nominal delay."""
     scans = [scan for scan in (LagScan.of(track, rig, FRAMES[0]) for track in tracks) if scan is not None]
     if not scans:
         return nominal_s
