@@ -269,8 +269,9 @@ class Choice:
 
     def _late_one_way_only(self, widths: Sequence[Onset], joint_fit: Fitted, curve: WidthCurve) -> bool:
         """Whether onsets are wider than the joint fit's B after turns one way only, and their B predicts what was seen
-        worse. Then the tip starts excess that way but ends on the same envelope, and the joint fit is right. (Onsets that
-        are wider both ways mean an image that jumps.)"""
+        worse. Then the tip starts late that way but ends on the same envelope, and the joint fit is right. (Onsets that
+        are wider both ways mean an image that jumps.) False with fewer than half of _FEW_ONSETS onsets one way. Adds
+        the residual with the onsets' B to the evidence."""
         at, up = np.array([o.q_mean for o in widths]), np.array([o.direction > 0 for o in widths])
         if min(up.sum(), (~up).sum()) < _FEW_ONSETS // 2:
             return False
@@ -352,7 +353,7 @@ class Choice:
     def _onsets_filled_by_passes(
         self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None
     ) -> tuple[Array, Array, str]:
-        """B, its sigma and its source (ONSETS): the onsets' curve near onsets; between them, where they are far shift,
+        """B, its sigma and its source (ONSETS): the onsets' curve near onsets; between them, where they are far apart,
         the passes' B, shifted to meet that curve. The shift is the image's jump, which differs from place to place; its
         scatter near onsets is added to sigma."""
         p = np.sort([o.q_mean for o in widths])
