@@ -133,9 +133,9 @@ def _one_value(counted: CountedFrames, name: str, column: Array) -> Departure:
 
 
 def _start_departures(counted: CountedFrames, by_speed: Sequence[Departure]) -> list[Departure]:
-    """How the tip starts after a reversal, as a curve over the travel since the turn in widths. phase.even: the same
-    towards the stroke's direction both ways; not beside a width by speed, which looks alike. phase.odd: the same in p
-    both ways, so that one way starts early and the other late."""
+    """How the tip starts after a reversal, as a curve over the travel since the turn in widths. phase.even: an offset
+    of p along the stroke's direction, alike both ways; not beside a width by speed, which looks like it. phase.odd: an
+    offset of p that has the same sign both ways, so that the tip starts early one way and late the other."""
     hats = _hats(counted.phase, _PHASES)[:, :-1]
     smooth = _smooth(hats.shape[1])
     even = counted.along_path(scaled_rows(counted.direction, hats))
@@ -390,8 +390,8 @@ def _slip_time(counted: CountedFrames, left: Array) -> float | None:
     pull, power = np.sum(left * counted.slope, axis=1), np.sum(counted.slope**2, axis=1)
     share = np.cumsum(power) / max(float(power.sum()), 1e-30)
     inside = slice(_ENDS, -_ENDS)
-    # The squares that such an offset explains, times the power of all frames: (S_k - a_k S)^2 / (a_k (1 - a_k)), S_k the
-    # sum of residual times slope until frame k, a_k the share of the slopes' power until there.
+    # The squares that such an offset explains, times the power of all frames: (S_k - a_k S)^2 / (a_k (1 - a_k)). S_k is
+    # the sum of residual times slope until frame k, a_k the share of the slopes' power until there.
     gain = (np.cumsum(pull) - share * pull.sum())[inside] ** 2 / np.maximum(share * (1.0 - share), 1e-12)[inside]
     return float(counted.time_s[int(np.argmax(gain)) + _ENDS + 1])
 
