@@ -103,8 +103,8 @@ class LagScan:
         return least
 
     def moves_as_coarse(self, lag_s: float) -> bool:
-        """Whether, at a lag in s, y moves the way that f_coarse says as the play's centre rises: else it follows half a
-        cycle of the motion earlier or later."""
+        """Whether, at a lag in s, y moves the way that f_coarse says as the play's centre rises. If not, the lag may be
+        off by half a cycle of the motion."""
         width = min(WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span)) * self.span
         return bool(self._polynomial_fit(lag_s, width)[1] @ self.coarse_direction > 0.0)
 

@@ -33,7 +33,7 @@ def doubt_onsets_and_remaining(found: Measured) -> None:
         found.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
     if strays := sum(track.stray for track in found.tracks):
         elsewhere = "frames show the marker" if found.camera else "values are"
-        found.findings.notes.append(f"{stray} {elsewhere} elsewhere for a while: left out")
+        found.findings.notes.append(f"{strays} {elsewhere} elsewhere for a while: left out")
     if not onsets:
         found.findings.doubt(
             "coverage", "the motor never turned back", "move back and forth by more than B", fatal=True

@@ -17,7 +17,7 @@ from tautline.calibration.doubts import KNOWN, common_error, component_reasons
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
 from tautline.calibration.measuring import Measured
 from tautline.calibration.observations import usual_width
-from tautline.calibration.onset import Delay, known_to, motor_speed, with_width
+from tautline.calibration.onset import Delay, sigma_or_nominal, motor_speed, with_width
 from tautline.calibration.remaining import pose_of
 from tautline.calibration.result import Calibration, finite, foretold, onset_json
 from tautline.calibration.smooth import overlap
@@ -230,7 +230,7 @@ def _complete_sigma(found: Measured, extent: _Extent) -> Array:
     sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else SLOPE_UNTOLD * beyond)
     if found.source == ONSETS:  # which are late alike
         speeds = [motor_speed(onset, found.tracks[onset.track]) for onset in with_width(found.onsets)]
-        late = float(np.median(speeds)) * known_to(found.delay.sigma_s) if speeds else 0.0
+        late = float(np.median(speeds)) * sigma_or_nominal(found.delay.sigma_s) if speeds else 0.0
         sigma = np.hypot(sigma, late)
     elif found.joint_fit is not None:
         one_way = found.choice.sigma_where_passed_one_way(found.joint_fit, found.width, inside)
