@@ -209,9 +209,9 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
 
 def not_held(y: Array) -> Mask:
     """(n,) whether each value of y (n, channels) is a new sample of the sensor. All are, unless values are sampled and
-    held: at least the share _HELD of them are repeated, though the tip moves by far more than the sensor's resolution
-    (_RESOLVED). Then repeats are not new; in a longer run, of a tip at rest, each first of as many frames as a value is
-    held for is."""
+    held. That is so if many values (_HELD) are repeated though the tip moves by far more than the sensor's resolution
+    (_RESOLVED). Repeats are not new then; in longer runs, of a tip at rest, one frame in as many as a value is usually
+    held for counts as new."""
     fresh = np.ones(len(y), dtype=bool)
     if len(y) < _TELL_HOLD:
         return fresh

@@ -42,9 +42,9 @@ class PlaceNoise:
 
 
 def place_noise(fitted: Fitted) -> PlaceNoise | None:
-    """How a fit's residuals are correlated along strokes and repeated at places. None where too few frames counted.
-    `length` is 0.5 (effect - 1) times the usual way between two frames of a moving tip: of an error whose correlation
-    falls as exp(-distance / length), about 1 + 2 length / way frames count as one."""
+    """How a fit's residuals are correlated along strokes, and what of them is repeated at places. None with fewer than
+    _FEWEST counted frames. `length` is 0.5 (effect - 1) times the usual way between two frames of a moving tip: if an
+    error's correlation falls as exp(-distance / length), about 1 + 2 length / way frames count as one."""
     whole = _joined([_errors_along_path(fitted, k) for k in range(len(fitted.masks))])
     error, at, stroke, moving = whole.error, whole.at, whole.stroke, whole.moving
     if len(error) < _FEWEST:
@@ -65,15 +65,16 @@ def place_noise(fitted: Fitted) -> PlaceNoise | None:
 
 
 def as_many_as_independent(fitted: Fitted) -> Fitted:
-    """The same fit, its covariance multiplied by how many frames make one independent one."""
+    """The same fit with its covariance multiplied by `PlaceNoise.effect`, as if it had been fitted to independent
+    frames only."""
     noise = place_noise(fitted)
     return fitted if noise is None else replace(fitted, covariance=fitted.covariance * noise.effect)
 
 
 def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
-    """The fit again with the error that goes with the place in the noise of each frame, so that however many frames
-    show the tip at one place, it is known no better than `common`. The same fit where passes repeat less than _MOSTLY
-    of what neighbouring frames share."""
+    """The fit made again with the error `common`, which goes with the place, added to the noise of each frame, so that
+    any number of frames at one place tell it to `common` at best. The same fit if passes repeat less than _MOSTLY of
+    what neighbouring frames share, or that is not known."""
     if noise is None or noise.common <= _MOSTLY * noise.rms:
         return fitted
     tracks = [_with_place_noise(fitted, k, noise.common) for k in range(len(fitted.masks))]
@@ -82,8 +83,9 @@ def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
 
 
 def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
-    """The fit again with smoothing for as many frames as are independent: else what a real joint does from stroke to
-    stroke bends B. The same fit where frames are nearly independent."""
+    """The fit made again with smoothing for as many frames as are independent: with less B would bend to what a real
+    joint does differently from stroke to stroke. The same fit if frames are nearly independent, or that is not
+    known."""
     if noise is None or noise.effect < _ALIKE:
         return fitted
     fit = replace(fitted.fit, frames_per_independent=noise.effect, smoothing=dict(fitted.fit.smoothing))
@@ -114,7 +116,8 @@ class _PathErrors:
 
 
 def _errors_along_path(fitted: Fitted, k: int) -> _PathErrors:
-    """The counted frames of track k with their residuals projected on the path of the tip's image, sensor's unit."""
+    """The counted frames of track k, with their residuals projected on the direction of the image's path, sensor's
+    unit, and multiplied by the root of the frame's weight."""
     fit, curves = fitted.fit, fitted.curves
     sim, mask = fit.simulated[k], fitted.masks[k]
     prepared = fit.tracks[k]
@@ -150,8 +153,8 @@ def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
 
 
 def _variance_at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: Mask) -> float:
-    """Half the mean squared difference of neighbouring frames of one stroke: the noise's variance, at rest where enough
-    frames do, else anywhere; 0 where there are no two such frames."""
+    """Half the mean squared difference of neighbouring frames' errors (n,) within strokes, which is the noise's
+    variance: of resting frames, or of all if fewer than _FEWEST pairs rest; 0 without pairs."""
     pair = stroke[1:] == stroke[:-1]
     still = pair & ~moving[1:] & ~moving[:-1]
     used = still if still.sum() >= _FEWEST else pair
@@ -159,9 +162,10 @@ def _variance_at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: Mask) 
 
 
 def _repeated_by_passes(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:
-    """rms of the error (n,) that different strokes share at one place `at` (n,): root of the mean product of errors of
-    the next _NEIGHBOURS on the path from different strokes within _TOGETHER noises at rest; 0 where few are. Frames
-    that move only: where the tip rests for many frames the path is what they show."""
+    """rms of the part of the error (n,) that different strokes share at one place: root of the mean product of two
+    errors from different strokes, each with its next _NEIGHBOURS along the path if these are within _TOGETHER times
+    at_rest, the noise. at (n,): place along the path; all in the sensor's unit. For frames that move only, as where the
+    tip rests for many frames the path follows their errors. 0 with fewer than _FEWEST pairs."""
     order = np.argsort(at)
     error, at, stroke = error[order], at[order], stroke[order]
     total, count = 0.0, 0

@@ -17,7 +17,7 @@ from tautline.calibration.doubts import KNOWN, common_error, component_reasons
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
 from tautline.calibration.measuring import Measured
 from tautline.calibration.observations import usual_width
-from tautline.calibration.onset import Delay, sigma_or_nominal, motor_speed, with_width
+from tautline.calibration.onset import Delay, motor_speed, sigma_or_nominal, with_width
 from tautline.calibration.remaining import pose_of
 from tautline.calibration.result import Calibration, finite, foretold, onset_json
 from tautline.calibration.smooth import overlap
