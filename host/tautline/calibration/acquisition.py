@@ -124,8 +124,9 @@ def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 def _wrong_frame_size(
     recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera
 ) -> list[Reason]:
-    """A fatal reason, in a list, where frames of the recordings or marker positions of their tracks are not of the
-    rig's frame size; empty where none contradicts it."""
+    """A fatal reason, in a list, if a recording's frames have another size than the rig's, or else if the marker
+    positions of a track are not of the rig's frame size (`_frame_size_by_places`); only the first one found. Empty if
+    there is none."""
     nominal = (camera.width_px, camera.height_px)
     for recording in recordings:
         size = recording.marker.frame_px if recording.marker is not None else None

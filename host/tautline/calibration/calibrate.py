@@ -36,9 +36,9 @@ def calibrate(
     progress: Progress | None = None,
     naming: bool = True,
 ) -> Calibration:
-    """Measures B(q), f_remain and the delay from recordings of any motion. naming: what departs gets the name that a
-    diagnosis gives it, for as much time again. Raises TautError where nothing can be measured; says in notes and
-    warnings what could not."""
+    """Measures B(q), f_remain and the delay from recordings of any motion. progress: is told a share, 0 to 1, and what
+    is done. naming: also names what departs, as a diagnosis does, for as much time again. Raises TautError if nothing
+    can be measured; what else could not be measured is said in notes and reasons of the result."""
     options, recordings = options or Options(), Session(recordings).in_time()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
@@ -52,10 +52,10 @@ def calibrate(
     if frames < _LEAST_FRAMES:
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.AlignedTracks.as_it_is(tracks)
-        on_clock, offsets_s = aligned.among(every)
+        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.AlignedTracks.without_offsets(tracks)
+        on_clock, offsets_s = aligned.merged_into(every)
         reasons = rig_contradictions(recordings, on_clock, offsets_s, rig)
-        aligned = aligned.seen
+        aligned = aligned.with_frames
         if not aligned.tracks:
             raise TautError("the tip was seen only where the motor steps: move it at a speed, with the tip in view")
         measured = Measuring(aligned, rig, options, say, reasons).run()
@@ -80,7 +80,7 @@ def _aligned_for_naming(
     """The aligned tracks, and the sensors' offsets, s by recording, with which effects are named. Differences of delay
     between the recordings are not taken for clocks that differ here (same_delay_for_all is False): an effect also makes
     the image of one recording stop later than another's. found: the calibration without effects."""
-    own = clock.align(tracks, rig, same_delay_for_all=False).seen if found.offsets else aligned
+    own = clock.align(tracks, rig, same_delay_for_all=False).with_frames if found.offsets else aligned
     return (own, own.offsets) if own.offsets != aligned.offsets else (aligned, found.offsets)
 
 

@@ -215,7 +215,7 @@ class Choice:
             inside, max(_STEEPER * usual_slope, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
         )
 
-    def measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
+    def measured_range(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
         """The lowest and highest position at which B was measured: of the onsets; if these are at one place or none, of
         the counted frames, where B is the joint fit's or the passes'; else the middle of the range, twice."""
         if curve is not None and (source == ONSETS or curve.measured[0] < curve.measured[1]):
@@ -285,7 +285,8 @@ class Choice:
         return not self.predicts_as_well(residual, joint_fit)
 
     def residual_with_width(self, joint_fit: Fitted, width: Array) -> float:
-        """Residual over noise with B held at width (grid,) and the joint fit's delay, the path fitted anew."""
+        """Residual over noise with B held at width (grid,) and the delay at the joint fit's; only the path is fitted
+        anew."""
         backlash = joint_fit.fit.backlash.nearest(self.grid, width)
         return self._residual_with_curves(joint_fit, replace(joint_fit.curves, backlash=backlash))
 

@@ -65,22 +65,22 @@ class AlignedTracks:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def as_it_is(cls, tracks: Sequence[Track]) -> AlignedTracks:
+    def without_offsets(cls, tracks: Sequence[Track]) -> AlignedTracks:
         """The tracks with their times unchanged: every offset is 0."""
         return cls(list(tracks), (0.0,) * len(tracks), ())
 
     @property
     def offset_s(self) -> float | None:
-        """The offset, s, that is farthest from 0; None where no clock was off."""
+        """The offset, s, with the largest absolute value; None if no clock was off."""
         return max(self.offsets_s, key=abs, default=0.0) or None
 
     @property
     def offsets(self) -> dict[str, float]:
-        """The offsets that are not 0, s, by recording."""
+        """The offsets that are not 0, s, by the recordings' names."""
         pairs = zip(self.tracks, self.offsets_s, strict=True)
         return {track.name: offset for track, offset in pairs if offset}
 
-    def among(self, every: Sequence[Track]) -> tuple[list[Track], list[float]]:
+    def merged_into(self, every: Sequence[Track]) -> tuple[list[Track], list[float]]:
         """`every` track with the offset of its clock, s. These aligned tracks are those of `every` that have frames, in
         the same order, and take their places; a track without frames stays, with offset 0."""
         own = iter(zip(self.tracks, self.offsets_s, strict=True))
@@ -88,7 +88,7 @@ class AlignedTracks:
         return [track for track, _ in pairs], [offset_s for _, offset_s in pairs]
 
     @property
-    def seen(self) -> AlignedTracks:
+    def with_frames(self) -> AlignedTracks:
         """The same without tracks of which no frame was left, as the tip followed a step of the motor in all of
         them."""
         kept = [pair for pair in zip(self.tracks, self.offsets_s, strict=True) if len(pair[0].t_s)]
@@ -112,7 +112,7 @@ def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool
     every, reach_s = observe(recordings, rig), _NEAR_S if one_clock else DELAY_REACH_S
     seen = [track for track in every if len(track.t_s)]
     aligned = align(seen, rig, same_delay_for_all=False, reach_s=reach_s)
-    _, offsets_s = aligned.among(every)
+    _, offsets_s = aligned.merged_into(every)
     pairs = zip(recordings, offsets_s, strict=True)
     return [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]  # several may have one name
 
@@ -137,7 +137,7 @@ def align(
         refused = None if offset is None else _reason_to_refuse(track, offset, rig)
         offset_s = 0.0
         if offset is not None and offset.offset_s and offset.misfit <= _FOLLOWS:
-            track, offset_s = _corrected(track, offset, nominal_s, rig)
+            track, offset_s = _without_offset(track, offset, nominal_s, rig)
         if refused is not None:
             reasons.append(refused)
         aligned.append(track)
@@ -196,7 +196,7 @@ def _fits_at_own_delay(track: Track, rig: Rig, own_s: float, best_s: float) -> b
     return own <= _BEATEN * best
 
 
-def _corrected(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
+def _without_offset(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
     """The track with its clock's offset taken off, and that offset, s. The offset is refined by the delay that is then
     found on the track, if that is known to _SURE_S."""
     offset_s = offset.offset_s
@@ -258,7 +258,7 @@ def find_offset(track: Track, rig: Rig, reach_s: float = DELAY_REACH_S) -> Offse
 
 
 def _lags_around(lag_s: float, reach_s: float) -> Array:
-    """Lags (n,), s, PITCH_S apart, within reach_s of this one."""
+    """Lags (n,), s, from lag_s - reach_s to lag_s + reach_s, PITCH_S apart."""
     steps = round(reach_s / PITCH_S)
     return np.asarray(lag_s + np.arange(-steps, steps + 1) * PITCH_S)
 
@@ -286,12 +286,12 @@ def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
 
 
 def _reason_to_refuse(track: Track, best: Offset, rig: Rig) -> Reason | None:
-    """The fatal reason why no offset of this track can be trusted: its times are stretched, several offsets fit alike,
-    or none does. None where `best` can be."""
+    """The fatal reason why the track's offset cannot be trusted: its times are stretched, several offsets fit alike, or
+    none does. None if `best`, the offset that was found, can be trusted."""
     follows = best.misfit <= _FOLLOWS
     if follows and not best.rivals:
         return None
-    stretched = _stretched(track, rig, best.misfit)
+    stretched = _reason_of_stretch(track, rig, best.misfit)
     if stretched is not None:
         return stretched
     if follows:
@@ -302,9 +302,10 @@ def _reason_to_refuse(track: Track, best: Offset, rig: Rig) -> Reason | None:
     return Reason("clock.offset", says, "check that both are of one run, and their clocks", fatal=True)
 
 
-def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
-    """The fatal reason that a track's times run too fast or too slow: scaled to the motor's duration they leave at most
-    the share _STRETCHED of `misfit`, that of the best offset. None where they do not."""
+def _reason_of_stretch(track: Track, rig: Rig, misfit: float) -> Reason | None:
+    """The fatal reason that a track's times run too fast or too slow, None if they do not. They do if frames and motor
+    last differently and, once the times are scaled to the motor's duration, a lag leaves at most the share _STRETCHED
+    of `misfit`, that of the best offset."""
     motor_s = float(np.ptp(track.motor.t_s))
     seen_s = float(np.ptp(track.t_s))
     if seen_s <= 0.0 or abs(motor_s / seen_s - 1.0) < _LONGER:

@@ -137,7 +137,7 @@ class Components:
         """Whether the strongest component is how the tip starts after a reversal (gradual or asymmetric)."""
         return bool(self.parts) and self.parts[0].name.startswith("phase")
 
-    def applied(self, fitted: Fitted) -> Fitted:
+    def applied_to(self, fitted: Fitted) -> Fitted:
         """The joint fit with the components' B, path and delay, their sigmas, and the sensor's clock corrected; its
         scale is `unexplained`. Its covariance and weights stay those of the fit without components."""
         fit = replace(fitted.fit, tracks=on_clock(fitted.fit.tracks, self.clock_error), smoothing=fitted.fit.smoothing)
@@ -246,7 +246,7 @@ class _Estimated:
 
     def components(self) -> Components:
         """The components and all that follows from them. B is that of slow strokes at the session's end."""
-        residuals = self.model.left()
+        residuals = self.model.residuals_left()
         frames_each = frames_per_independent(residuals)
         # Covariances of the nominal unknowns without components: if all frames were independent, and with as many as
         # are. Only the frames' information is divided by `frames_each`, that of the priors is not.

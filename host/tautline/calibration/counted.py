@@ -100,12 +100,12 @@ def counted_frames(fitted: Fitted, curves: Curves, rig: Rig, clock_error: Array)
     if not any(mask.any() for mask in masks):
         return None
     usual = usual_width(fit.width(curves), float(fit.grid[-1] - fit.grid[0]))
-    return _joined(
+    return _joined_tracks(
         [
             _of_track(fit, curves, number, residuals[number], masks[number], fitted.weights[number], usual, rig)
             for number in range(len(tracks))
         ],
-        _session(fitted.fit.tracks),
+        _session_span(fitted.fit.tracks),
     )
 
 
@@ -114,7 +114,7 @@ def on_clock(tracks: Sequence[PreparedTrack], clock_error: Array) -> list[Prepar
     `counted_frames`."""
     if not clock_error.any():
         return list(tracks)
-    first, length = _session(tracks)
+    first, length = _session_span(tracks)
     corrected = []
     for prepared in tracks:
         t = (prepared.track.t_s + prepared.track.session_s - first) / length - 0.5
@@ -123,7 +123,7 @@ def on_clock(tracks: Sequence[PreparedTrack], clock_error: Array) -> list[Prepar
     return corrected
 
 
-def _session(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
+def _session_span(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
     """The time of the session's first frame, s, and how long the session lasts until its last one, s."""
     ends = [prepared.track.t_s[[0, -1]] + prepared.track.session_s for prepared in tracks]
     first, last = float(np.min(ends)), float(np.max(ends))
@@ -133,9 +133,10 @@ def _session(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
 def _of_track(
     fit: PlayFit, curves: Curves, number: int, residuals: Array, keep: Mask, weights: Array, usual: float, rig: Rig
 ) -> CountedFrames:
-    """The counted frames of one track, after `fit.residuals` with the same curves. What needs the other tracks is left
-    to `_joined`: `t` is 0 yet, `load` has its mean, and `stroke` counts from the track's first. residuals (frames,
-    channels), keep (frames,) and weights (frames,) of all its frames; usual: typical B, unit of q."""
+    """The counted frames of the track `number`; `fit.residuals` must have been called with the same curves. What needs
+    the other tracks is left to `_joined_tracks`: `t` is 0 here, `load` has its mean, and `stroke` counts from the
+    track's first. residuals (frames, channels), keep (frames,) and weights (frames,) are of all frames of the track;
+    usual: typical B, unit of q."""
     prepared, sim = fit.tracks[number], fit.simulated[number]
     track = prepared.track
     scene_s = track.scene_s(curves.delay_s)[keep]
@@ -171,14 +172,15 @@ def _of_track(
 
 
 def _lag_columns(track: Track, play: Play, scene_s: Array, times_s: tuple[float, ...]) -> Array:
-    """(n, k) What a first-order lag of each time constant (k,), s, adds to the centre p of this play, unit of q, at
-    scene times (n,), s. It is taken from the whole course of p, every _FINE_S: a lag remembers what came before."""
+    """(n, k) what a first-order lag with each of the time constants times_s (k,), s, adds to the play's centre p, unit
+    of q, at scene times (n,), s. p is simulated every _FINE_S from the record's begin, as a lag remembers what came
+    before."""
     fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
     course = play.forward(track.motor_at(fine))
     return np.column_stack([np.interp(scene_s, fine, _low_pass(course, tau) - course) for tau in times_s])
 
 
-def _joined(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> CountedFrames:
+def _joined_tracks(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> CountedFrames:
     """The frames of all tracks as one: with `t` by the session's length, strokes numbered on from track to track, the
     load without its mean (None unless all have one), and less weight for outliers, frames whose residual is above STRAY
     times the usual one. session: time of the first frame, and length, s."""

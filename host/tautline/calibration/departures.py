@@ -107,7 +107,11 @@ def departures(counted: CountedFrames, searched: SearchedParameters, *, apart: b
     found = [
         *_start_departures(counted, by_speed),
         *_stroke_departures(counted, by_stroke),
-        *([] if slow is None else [Departure("offset.time", counted.along_path(slow), _smooth(slow.shape[1]))]),
+        *(
+            []
+            if slow is None
+            else [Departure("offset.time", counted.along_path(slow), _smoothness_penalty(slow.shape[1]))]
+        ),
         _one_value(counted, "width.time", counted.by_width * counted.width * counted.t),
         *by_speed,
         _one_value(counted, "clock.rate", counted.by_delay * counted.t),
@@ -136,8 +140,8 @@ def _start_departures(counted: CountedFrames, by_speed: Sequence[Departure]) -> 
     """How the tip starts after a reversal, as a curve over the travel since the turn in widths. phase.even: an offset
     of p along the stroke's direction, alike both ways; not beside a width by speed, which looks like it. phase.odd: an
     offset of p that has the same sign both ways, so that the tip starts early one way and late the other."""
-    hats = _hats(counted.phase, _PHASES)[:, :-1]
-    smooth = _smooth(hats.shape[1])
+    hats = _hat_functions(counted.phase, _PHASES)[:, :-1]
+    smooth = _smoothness_penalty(hats.shape[1])
     even = counted.along_path(scaled_rows(counted.direction, hats))
     return [
         Departure("phase.even", even, smooth, not_beside=frozenset(part.name for part in by_speed)),
@@ -157,10 +161,11 @@ def _stroke_departures(counted: CountedFrames, by_stroke: Sparse) -> list[Depart
 
 
 def _speed_departures(counted: CountedFrames) -> list[Departure]:
-    """B plus v (law - 1), or B (1 + v (law - 1)), law being 1 at the usual speed and rising as 1 - exp(-speed / (a
-    usual)) with a of _SATURATES. A motor that stops passes every speed on the way, so a tip that rests was left there
-    by a slow one: law is 0 at rest, unless the width holds what it had (".0" in the name). Only one of all is
-    likely, and not beside phase.even, which looks alike."""
+    """A width that depends on the motor's speed: B + v (law - 1) or, with SHARE in the name, B (1 + v (law - 1)), v
+    being the value. law is 1 at the usual speed and rises as 1 - exp(-speed / (a usual)), with a candidate for each a
+    of _SATURATES. At rest law is 0, as a motor that stops passes every speed and leaves the tip where a slow one would;
+    or it is 1, if the width keeps what it had (".0" in the name). Only one of all joins, and not beside phase.even,
+    which looks alike."""
     speeds = np.abs(counted.speed)
     usual = max(float(np.mean(speeds[counted.moving])) if counted.moving.any() else 0.0, 1e-12)
     laws = {f"{SPEED}.{at:g}": -np.expm1(-speeds / (at * usual)) / -np.expm1(-1.0 / at) for at in _SATURATES}
@@ -190,7 +195,7 @@ def _lag_departures(counted: CountedFrames) -> list[Departure]:
 
 
 def _load_departure(counted: CountedFrames, load: Array) -> Departure:
-    """An offset of p, a width and a gain that follow the logged load (n,), in its standard deviations."""
+    """An offset of p, a width and a gain that are proportional to the logged load (n,), in its standard deviations."""
     load = load / np.std(load)
     effects = np.column_stack([load, counted.by_width * load, (counted.p - counted.p.mean()) * load])
     return Departure("load", counted.along_path(effects), np.eye(3))
@@ -216,14 +221,14 @@ def _image_departures(
     channels = counted.slope.shape[1]
     found = []
     if slow is not None:
-        found.append(Departure("image.time", counted.per_channel(slow), _smooth(slow.shape[1], channels)))
+        found.append(Departure("image.time", counted.per_channel(slow), _smoothness_penalty(slow.shape[1], channels)))
     length_px = searched.tracker_length_px
-    name, pieces = ("image.stroke", by_stroke) if length_px is None else ("tracker", _pieces(counted, length_px))
+    name, pieces = ("image.stroke", by_stroke) if length_px is None else ("tracker", _path_pieces(counted, length_px))
     found.append(Departure(name, counted.per_channel(pieces), np.eye(channels * pieces.shape[1])))
     found.append(Departure("image.side", counted.per_channel(counted.side[:, None]), np.eye(channels)))
     if searched.shift_s is not None:
         after = (counted.time_s >= searched.shift_s).astype(float)[:, None]
-        shifted = counted.per_channel(after * _places(counted))
+        shifted = counted.per_channel(after * _place_polynomials(counted))
         found.append(Departure("image.shift", shifted, np.eye(3 * channels), price=_SCAN))
     if searched.breath_hz is not None:
         angle = 2 * np.pi * searched.breath_hz * counted.time_s
@@ -268,14 +273,14 @@ def tracker_error_length(counted: CountedFrames) -> float | None:
 
 
 def _path_in_stroke(counted: CountedFrames) -> Array:
-    """(n,) how far, px, the image has gone along its path since the stroke began."""
+    """(n,) how far the image has gone along its path since the stroke began, px."""
     step = np.linalg.norm(counted.slope / counted.inverse[:, None], axis=1)[1:] * np.abs(np.diff(counted.p))
     gone = np.concatenate([[0.0], np.cumsum(step)])
     first = np.searchsorted(counted.stroke, counted.stroke, side="left")
     return np.asarray(gone - gone[first])
 
 
-def _pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
+def _path_pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
     """(n, nodes) piecewise linear basis over the image's path of each stroke, with a node every length_px from its
     begin; nodes that no frame is next to are left out."""
     place = _path_in_stroke(counted) / length_px
@@ -324,7 +329,8 @@ def contrasts(recordings: int) -> Array:
 
 
 def _same_places(counted: CountedFrames, recordings: int) -> bool:
-    """Whether all recordings show much the same positions: else what differs may be the place."""
+    """Whether all recordings show much the same positions: the range that they share is more than _MUCH of the widest.
+    If not, what differs between them may be the place."""
     spans = [counted.p[counted.recording == k] for k in range(recordings)]
     if any(len(span) == 0 for span in spans):
         return False
@@ -332,14 +338,14 @@ def _same_places(counted: CountedFrames, recordings: int) -> bool:
     return shared > _MUCH * max(float(np.ptp(span)) for span in spans)
 
 
-def _places(counted: CountedFrames) -> Array:
-    """(n, 3) constant, linear and quadratic in p: a rigid motion of the image moves each place of the path in its own
-    way."""
+def _place_polynomials(counted: CountedFrames) -> Array:
+    """(n, 3) constant, linear and quadratic in p, scaled by its mean and standard deviation. With these columns an
+    image motion may differ along the path, as a rigid motion moves each place in its own way."""
     x = (counted.p - counted.p.mean()) / max(float(np.std(counted.p)), 1e-12)
     return np.column_stack([np.ones_like(x), x, x**2 - 1])
 
 
-def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
+def _hat_functions(x: Array, nodes: Array) -> sparse.csr_matrix:
     """(n, nodes) piecewise linear basis at x (n,); 0 beyond the last node."""
     n = np.flatnonzero(x < nodes[-1])
     at = np.clip(np.searchsorted(nodes, x[n], side="right") - 1, 0, len(nodes) - 2)
@@ -357,7 +363,7 @@ def slow_basis(t: Array, spans: int) -> Sparse | None:
     return sparse.csr_matrix(BSpline.design_matrix(np.clip(t, -0.5, 0.5 - 1e-9), knots, 3))
 
 
-def _smooth(size: int, channels: int = 1) -> Array:
+def _smoothness_penalty(size: int, channels: int = 1) -> Array:
     """(channels * size, channels * size) penalty on the squared differences of neighbouring values, plus _PULL times
     the squared values, for each channel alike."""
     step = np.diff(np.eye(size), 1, axis=0)

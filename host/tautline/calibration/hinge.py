@@ -51,7 +51,7 @@ class Jump:
     deviance: float
 
 
-def _window(x: Array, y: Array, *, jump: bool = False) -> _native.Hinge:
+def _native_hinge(x: Array, y: Array, *, jump: bool = False) -> _native.Hinge:
     """Prepares frames for the native fits: travel x (n,), whitened y (n, channels) less its first frame, and the
     priors: standard deviations of the path's bend from straight (_LEAST_BEND, in noises) to bent (_MOST_BEND times y's
     swing), evenly spaced in their logarithm. jump: adds a jump at the knot as an unknown."""
@@ -65,7 +65,7 @@ def _window(x: Array, y: Array, *, jump: bool = False) -> _native.Hinge:
 def fit_hinge(x: Array, y: Array, high: float) -> Hinge:
     """The hinge: the posterior of its knot, within [0, high], for whitened y (n, channels) at motor travel x (n,), unit
     of q, since the turn."""
-    knot, sigma, deviance, chi2, used, slope = _window(x, y).knot(high)
+    knot, sigma, deviance, chi2, used, slope = _native_hinge(x, y).knot(high)
     # `used`: effective number of the path's parameters, for each channel; one more for the knot.
     freedom = max(1.0, (len(x) - used) * y.shape[1] - 1.0)
     return Hinge(knot, sigma, deviance, chi2, freedom, slope / max(float(x.max()), 1e-12))
@@ -81,7 +81,7 @@ def fit_jump(x: Array, y: Array, high: float, knot: float = 0.0) -> Jump:
     if len(edges) < 2:
         return Jump(0.0, high, 0.0, np.inf)
     around = max(int(np.searchsorted(0.5 * (edges[1:] + edges[:-1]), knot)) - 1, 0)
-    each, sizes = _window(x, y, jump=True).jumps(edges, around, _CREDIBLE)
+    each, sizes = _native_hinge(x, y, jump=True).jumps(edges, around, _CREDIBLE)
     best = int(np.argmin(each))
     near = np.flatnonzero(each < each[best] + _CREDIBLE)
     return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), float(sizes[best]), float(each[best]))

@@ -119,8 +119,9 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
 
 
 def _cost(power: Array, state: Fitted, kind: str, unknowns: Array) -> float:
-    """Mean square of the residuals over noise, outliers cut, plus the unknowns' squared distance from their prior per
-    frame; infinite where no frame counts. power: the state's `frame_powers`."""
+    """Mean square of the residuals over noise, outliers cut, plus the prior's cost: the unknowns' squared distance from
+    the prior mean, in prior sigmas, times scale^2 over the number of frames. Infinite if no frame counts. power: the
+    state's `frame_powers`."""
     mean, sigma = PRIORS[kind]
     prior = float(np.sum(((unknowns - mean) / sigma) ** 2)) / max(state.frames, 1)
     return rms_of_frame_powers(power, state.scale) ** 2 + state.scale**2 * prior

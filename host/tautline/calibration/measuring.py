@@ -87,7 +87,7 @@ class _Setting:
 
     @property
     def framed(self) -> bool:
-        """Whether the delay is a camera's: of frames that are still after a turn."""
+        """Whether the delay is a camera's, the rig's or the tip's own: its images stand still after a turn."""
         return self.camera or self.rig.sees_from_tip
 
     @property
@@ -206,10 +206,10 @@ class Measuring(_Setting):
         return self._measured(onsets, delay, curve, joint_fit, passes, width, sigma, source, remaining)
 
     def run_with_effects(self, before: Measured, told: start.Start) -> Measured | None:
-        """What `run` finds, with the effects that a diagnosis named fitted together with B, path and delay. told: the
-        diagnosis, which has the effects, its nominal model and the load at which that holds; before: the run without
-        them. If an effect has several forms each is fitted, and the most probable one counts. None where they cannot be
-        fitted."""
+        """What `run` finds, with the effects that a diagnosis named fitted together with B, path and delay. before: the
+        run without effects; told: the diagnosis, with the effects, its nominal model and the load at which that holds.
+        If an effect has several forms each is fitted; the most probable one counts, and the others add to the sigmas of
+        B and delay. None if there is no joint fit, or none of the effects can be fitted."""
         if before.joint_fit is None:
             return None
         named = told.effects
@@ -316,8 +316,10 @@ class Measuring(_Setting):
         return self._fit_with_effects(before, law, delay_s, replace(effects, law=law), values)
 
     def _leave_out_held_places(self) -> None:
-        """Leaves out frames at which the tracker repeated a place that the tip had left; sets their share, `held`."""
-        if not self.camera:  # an angle sensor has no tracker: what it repeats is its own, or a joint that sticks
+        """Leaves out of `tracks` the frames at which the tracker repeated a place that the tip had left, and sets
+        `held`, their share. Does nothing for an angle sensor, whose repeats are its own or those of a joint that
+        sticks."""
+        if not self.camera:
             return
         before = sum(len(track.t_s) for track in self.tracks)
         self.tracks = without_held_places(
@@ -427,7 +429,7 @@ class Measuring(_Setting):
         self.findings.evidence["residual_components"] = components.unexplained
         for part in components.parts:
             self.findings.evidence[f"component_{part.name}"] = part.rms
-        apart = components.applied(joint_fit)
+        apart = components.applied_to(joint_fit)
         alone = self.choice.residual_without_departures(components, apart, joint_fit)
         if self.choice.predicts_as_well(alone, joint_fit) or self.choice.onsets_favour_departures(
             onsets, curve, components, apart, joint_fit
@@ -486,7 +488,7 @@ class Measuring(_Setting):
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, _FIRST_OF_ALL * components.strongest_rms):
             return None
-        apart, fit_delay = components.applied(joint_fit), self.options.delay_s is None
+        apart, fit_delay = components.applied_to(joint_fit), self.options.delay_s is None
         plays = fit_elements(apart, self.rig, fit_delay=fit_delay)
         assert isinstance(plays.fit.hysteresis, Elements)
         candidates = [HysteresisFit(plays, len(plays.fit.hysteresis.width) - 1)]

@@ -80,8 +80,10 @@ class MixedModel:
         self, fitted: Fitted, selected: Selected, curves: Curves, counted: CountedFrames, candidates: list[Departure],
         clock_error: Array, searched: SearchedParameters,
     ) -> None:  # fmt: skip
-        """Sums the weighted normal equations of all candidates; solves nothing yet. fitted: the joint fit; clock_error
-        (2,): s, as in `counted_frames`; searched: with which the candidates were made."""
+        """Sums the weighted normal equations of the nominal unknowns and all candidates; solves nothing yet. fitted:
+        the joint fit. selected: which candidates are active, and their penalties. curves: at which all is linearised.
+        counted: the frames at these. clock_error (2,): s, as in `counted_frames`. searched: with which the candidates
+        were made."""
         self.selected, self.curves, self.counted = selected, curves, counted
         self.clock_error, self.searched = clock_error, searched
         self.fit = fit = fitted.fit
@@ -215,12 +217,12 @@ class MixedModel:
     def searched_again(self) -> SearchedParameters:
         """The moments of a shift and a slip and the frequency of a breath that explain most of what the solution
         leaves; those of active components stay."""
-        return self.searched.updated(self.counted, self.left(), set(self.selected.active))
+        return self.searched.updated(self.counted, self.residuals_left(), set(self.selected.active))
 
     # ---- residuals
 
-    def left(self) -> Array:
-        """(n, channels) whitened residuals that the solution leaves."""
+    def residuals_left(self) -> Array:
+        """(n, channels) whitened residuals that remain after the solution."""
         values = np.zeros(len(self.right))
         values[self.solved] = self.values
         ends = np.cumsum([block.shape[1] for block in self.design])[:-1]
@@ -233,7 +235,7 @@ class MixedModel:
         """Scatter between neighbouring frames while the tip moves over that while it rests, clipped to 1 to
         _UNSTEADIEST: the root of the ratio of median squared differences. 1 with fewer than _FEW pairs of moving or of
         resting frames."""
-        step = np.mean(np.diff(self.left(), axis=0) ** 2, axis=1)
+        step = np.mean(np.diff(self.residuals_left(), axis=0) ** 2, axis=1)
         moves = self.counted.moving[1:] & self.counted.moving[:-1]
         rests = ~self.counted.moving[1:] & ~self.counted.moving[:-1]
         if moves.sum() < _FEW or rests.sum() < _FEW:
@@ -251,7 +253,7 @@ class MixedModel:
     def frames_per_independent(self) -> float:
         """How many frames tell as much as one independent frame, by the autocorrelation of the residuals that the
         solution leaves."""
-        return frames_per_independent(self.left())
+        return frames_per_independent(self.residuals_left())
 
     # ---- the Gauss-Newton step
 

@@ -29,8 +29,8 @@ _UNWEIGHED = frozenset(
 
 
 def has_unweighed(reasons: Sequence[Reason]) -> bool:
-    """Whether one of the reasons is a departure that a diagnosis does not weigh against the library's effects, so that
-    an effect may only be standing in for it."""
+    """Whether one of the reasons is a departure that a diagnosis does not weigh against the library's effects. An
+    effect that is named may then only be standing in for it."""
     return any(reason.code in _UNWEIGHED for reason in reasons)
 
 
@@ -58,8 +58,8 @@ def reasons_with_names(reasons: Sequence[Reason], model: Model, names: Sequence[
 def reasons_with_carried(
     before: Sequence[Reason], reasons: Sequence[Reason], model: Model, predicts: bool
 ) -> list[Reason]:
-    """The reasons of a model that carries effects, with a reason for each effect first, mild if the model predicts.
-    before: reasons of the model without effects, whose words are kept."""
+    """The reasons of a model that carries effects, with a reason for each effect put first, mild if the model predicts.
+    before: reasons of the model without effects; if one has an effect's code, its words are kept."""
     seen = {reason.code: reason.says for reason in before}
     ids = [effect.id for effect in model.effects]
     names = [

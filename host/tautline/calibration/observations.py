@@ -145,14 +145,14 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
-            track = _track(recording, path, "px", marker.t_s[seen], y, given)
+            track = _track_of_values(recording, path, "px", marker.t_s[seen], y, given)
             of_frames = recording.video is not None or marker.frame_px is not None
             track = replace(track, shown=marker.shown, tracked_px=geometry.TRACKED_PX if of_frames else 0.0)
             tracks.append(track if marker.shown is None else without_sway(track, rig, marker.shown.side_px))
         elif angle is not None:
             seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)
-            track = _track(recording, path, "deg", angle.t_s[seen], y, None)
+            track = _track_of_values(recording, path, "deg", angle.t_s[seen], y, None)
             tracks.append(without_sway(track, rig, _WORLD_DEG) if rig.sees_from_tip else track)
         elif marker is not None:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
@@ -184,7 +184,9 @@ def without_sway(track: Track, rig: Rig, side: float) -> Track:
     return replace(track, y=track.y - still * (track.y - np.median(track.y, axis=0)))
 
 
-def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None) -> Track:
+def _track_of_values(
+    recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None
+) -> Track:
     """The track of y (n, channels) at arrival times t (n,), s, without repeated values, frames of doubtful stated noise
     and strays. given (n,): noise that the recording states, or None; its median counts if y scatters about as much,
     else the noise is the one that y shows."""

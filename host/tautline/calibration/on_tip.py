@@ -56,7 +56,7 @@ def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
     problem = _PlaceProblem(seen, path, noise, mean, np.kron(np.eye(3), np.linalg.inv(covariance)))
     found = descend(problem, np.concatenate([coarse, mean]), _MOST_STEPS)
     spread = np.sqrt(np.diag(np.linalg.inv(problem.linearised(found)[0]))[:_NODES])
-    return _table(found[:_NODES], found[_NODES:].reshape(3, _NODES), spread)
+    return _tabulated_place(found[:_NODES], found[_NODES:].reshape(3, _NODES), spread)
 
 
 def _prior_of_place(seen: _View, coarse: Array, at: float, side_px: float, tracked_px: float) -> tuple[Array, Array]:
@@ -75,7 +75,7 @@ def _prior_of_place(seen: _View, coarse: Array, at: float, side_px: float, track
     return np.repeat(0.5 * side_mm * side, _NODES), covariance
 
 
-def _table(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
+def _tabulated_place(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
     """The place as a table at evenly spaced angles, from angles c_deg (n,), places mm (3, n) and the angles' sigma
     (n,). None where the angles are not monotone along the path."""
     order = slice(None) if c_deg[-1] > c_deg[0] else slice(None, None, -1)
@@ -103,7 +103,8 @@ class _View:
     rotation_deg: float
 
     def in_camera(self, c_deg: Array, place: Array) -> Array:
-        """(n, 3) mm of places (3, n) mm beside the tip's end at angles (n,) deg."""
+        """Positions (n, 3), mm, in the camera's frame of places (3, n), mm, in the frame of the tip's end at bending
+        angles (n,), deg."""
         c = np.radians(c_deg)
         sin, cos = np.sin(c), np.cos(c)
         aside, out, ahead = place
@@ -158,7 +159,7 @@ class _PlaceProblem:
     precision: Array  # (3 n, 3 n)
 
     def linearised(self, point: Array) -> tuple[Array, Array, float]:
-        """Normal matrix (4 n, 4 n), gradient that lowers the cost, and cost at a point (4 n,)."""
+        """Normal matrix (4 n, 4 n), gradient (4 n,) along which the cost falls, and the cost, at a point (4 n,)."""
         n = len(self.path)
         rows = self.seen.by_unknown(point) / self.noise_px
         left = (self.path.ravel() - self.seen.image(point)) / self.noise_px

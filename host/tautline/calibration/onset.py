@@ -100,7 +100,7 @@ class Onset:
 
 
 def with_width(onsets: Sequence[Onset]) -> list[Onset]:
-    """The used onsets that measure a width; others are bounds only."""
+    """The onsets that are used and measure a width: hinges and brackets."""
     return [onset for onset in onsets if onset.tells_width]
 
 
@@ -284,7 +284,8 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
 
 
 def _as_bracket(onset: Onset) -> Onset:
-    """The onset as a width known only between `low` and `high`: their middle, with the sigma of a uniform density."""
+    """The onset as a bracket: its width is the middle of `low` and `high`, with the sigma of a uniform density between
+    them."""
     middle = 0.5 * (onset.low + onset.high)
     spread = of_rounding(onset.high - onset.low)
     return replace(onset, kind=BRACKET, q2=onset.q1 + onset.direction * middle, sigma=max(float(spread), 1e-9))

@@ -45,7 +45,7 @@ def place_noise(fitted: Fitted) -> PlaceNoise | None:
     """How a fit's residuals are correlated along strokes, and what of them is repeated at places. None with fewer than
     _FEWEST counted frames. `length` is 0.5 (effect - 1) times the usual way between two frames of a moving tip: if an
     error's correlation falls as exp(-distance / length), about 1 + 2 length / way frames count as one."""
-    whole = _joined([_errors_along_path(fitted, k) for k in range(len(fitted.masks))])
+    whole = _joined_tracks([_errors_along_path(fitted, k) for k in range(len(fitted.masks))])
     error, at, stroke, moving = whole.error, whole.at, whole.stroke, whole.moving
     if len(error) < _FEWEST:
         return None
@@ -93,8 +93,8 @@ def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted
 
 
 def _with_place_noise(fitted: Fitted, k: int, common: float) -> PreparedTrack:
-    """Track k with each frame's variance increased by m common^2, m the number of frames that show the same place in a
-    row: together they know it no better than `common`, sensor's unit."""
+    """Track k with each frame's variance increased by m common^2, where m is the number of frames in a row that show
+    the same place: together they then tell that place to `common`, sensor's unit, at best."""
     prepared = fitted.fit.tracks[k]
     seen = fitted.fit.predicted(prepared.track, fitted.curves, fitted.fit.simulated[k].tip)
     step = np.linalg.norm(np.diff(seen, axis=0), axis=1)
@@ -131,7 +131,7 @@ def _errors_along_path(fitted: Fitted, k: int) -> _PathErrors:
     return _PathErrors(error[mask], score[mask], at[mask], stroke[mask], sim.moving[mask])
 
 
-def _joined(parts: Sequence[_PathErrors]) -> _PathErrors:
+def _joined_tracks(parts: Sequence[_PathErrors]) -> _PathErrors:
     """The frames of all tracks one after the other, strokes numbered on: no two tracks have a stroke in common."""
     strokes, before = [], 0
     for part in parts:
@@ -144,8 +144,8 @@ def _joined(parts: Sequence[_PathErrors]) -> _PathErrors:
 
 
 def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
-    """Positions p (n,) in order, unit of q, and the length of the image's path up to each (trapezoidal rule), steep
-    (n,) being its length per unit of p."""
+    """Positions p (n,) in rising order, unit of q, and the length of the image's path from the first to each of them
+    (trapezoidal rule). steep (n,): the path's length per unit of p."""
     order = np.argsort(p)
     p, steep = p[order], steep[order]
     length = np.concatenate([[0.0], np.cumsum(0.5 * (steep[1:] + steep[:-1]) * np.diff(p))])

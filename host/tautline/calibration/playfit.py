@@ -152,7 +152,7 @@ class PlayFit:
         return self.residuals_of_simulated(curves)
 
     def simulate(self, curves: Curves) -> None:
-        """Sets `simulated`, what the play does at each frame of every track, by B, delay and effects of the curves."""
+        """Sets `simulated`: what the play does at each frame of every track with the curves' B, delay and effects."""
         width = self.width(curves)
         self.simulated = [
             prepared.simulate(self.grid, width, curves.delay_s, self.hysteresis, self.effects, curves.effect_values)
@@ -370,7 +370,7 @@ class PlayFit:
         return known if known is not None and self.view is None and len(known.path) == channels else None
 
     def _path_prior(self, curves: Curves) -> list[Term]:
-        """The prior's Term of each channel of the followed curve; empty where nothing is known of it."""
+        """The prior's Term of each channel of the followed curve; an empty list if nothing is known of it."""
         known = self._path_beforehand(curves.follow.shape[1])
         return [] if known is None else known.of_path(self.follow, curves.follow)
 
@@ -402,9 +402,10 @@ class PlayFit:
         self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), _BEGINS, _MOST_SMOOTHING))
 
     def adapt_smoothing(self, curves: Curves, system: Array, scale: float) -> None:
-        """One Fellner-Schall step of each smoothing factor lambda towards the restricted likelihood's maximum: lambda
-        <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c), C the inverse of `system` (m, m), the
-        normal matrix with all penalties; at most a factor of _AT_ONCE. scale: residual over noise."""
+        """One Fellner-Schall step of each smoothing factor lambda towards the restricted likelihood's maximum, by at
+        most a factor of _AT_ONCE: lambda <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c). C is the
+        inverse of `system` (m, m), the normal matrix with all penalties; P the penalty's matrix with its rank, c the
+        coefficients; scale: rms residual over noise."""
         layout = self.layout(curves)
         inverse = inverse_of(with_ridge(system))
         bending, rank = self._bending(layout.channels)
@@ -572,8 +573,8 @@ class Fitted:
         return np.asarray(np.sqrt(np.maximum(np.sum((design @ covariance) * design, axis=1), 0.0)))
 
     def path(self) -> tuple[Array, Array]:
-        """(nodes, channels) each: the followed curve in the unit of s, and its standard deviation by the residuals'
-        noise."""
+        """The followed curve (nodes, channels) in the unit of s, and its standard deviation (nodes, channels) by the
+        residuals' noise."""
         design = self.fit.follow.design(self.fit.grid).toarray()
         blocks = self.fit.layout(self.curves).follow
         variance = [np.sum((design @ self.covariance[block, block]) * design, axis=1) for block in blocks]

@@ -64,8 +64,8 @@ def view_of(rig: Rig) -> View:
 
 
 def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
-    """Bending angle (n,) deg of each frame: by inverting the projection (paper, eq. 8) for a marker, as it is from an
-    angle sensor."""
+    """Bending angle (n,), deg, at each frame: for a marker by inverting the projection (paper, eq. 8), for an angle
+    sensor what it shows. delay_s: of the sensor, s."""
     if track.unit == "deg":
         return track.y[:, 0]
     return pose(rig, track.y, *track.others_at(track.scene_s(delay_s)))[0]
@@ -137,7 +137,7 @@ def fit_remaining(
     px = float(np.hypot(max(track.tracked_px for track in tracks), _beside_the_path_px(fitted)))
     sigma = np.hypot(np.sqrt(variance), tracked_deg(px, rig, lawful))
     times = noise.times(grid) / np.sqrt(np.mean(noise.times(counted) ** 2)) if noise.differs else None
-    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, notes, fitted, times)
+    return Remaining(lawful, sigma, _rms_residual(fitted, tracks), fitted.scale, notes, fitted, times)
 
 
 def _curve_through(basis: Basis, p: Array, c: Array) -> Array:
@@ -219,9 +219,9 @@ def _beside_the_path_px(fitted: Fitted) -> float:
     return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
 
 
-def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
-    """rms residual per coordinate, px or deg, of the frames that count; a frame's residual over its noise is cut at
-    _STRAY times the median one. 0 without frames."""
+def _rms_residual(fitted: Fitted, tracks: Sequence[Track]) -> float:
+    """rms residual per coordinate, px or deg, of the counted frames, each cut at _STRAY times the median residual over
+    noise; 0 without frames."""
     off = np.concatenate(
         [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(fitted.residuals, fitted.masks, strict=True)]
     )

@@ -108,7 +108,7 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
 
 
 def foretold(model: Model, track: Track, delay_s: float) -> Foretold:
-    """The model's prediction of a track's frames at this delay, s, in the track's unit, beside what was seen."""
+    """The model's prediction of a track's frames at this delay, s, with what was seen, both in the track's unit."""
     scene = track.scene_s(delay_s)
     told = predict(model, track.reading, scene)
     predicted = told.c_deg[:, None] if track.unit == "deg" else told.image_px

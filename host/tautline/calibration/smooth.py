@@ -116,7 +116,7 @@ def _fit_in_steps(
     """The joint fit, as in `fit_jointly`: first with few spans and few frames, from the best constant B (or the guess),
     then with all of them. The first approach is counted too if it follows the same curves as the rest, or if without it
     some positions would be seen one way only and it does no harm to the rest."""
-    coarse = _start(_thinned(prepared), domain, delay_s, guess, beforehand)
+    coarse = _coarse_start(_thinned(prepared), domain, delay_s, guess, beforehand)
     if coarse is None:
         return None
     fit, curves = coarse
@@ -145,7 +145,7 @@ def _fit_in_steps(
 
 
 def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
-    """The tracks with about _SCANNED of the frames that `prepare_tracks` left to count, evenly spread."""
+    """The tracks with about _SCANNED frames in all, taken evenly from those that `prepare_tracks` let count."""
     frames = sum(len(each.track.t_s) for each in prepared)
     counted = _counted_stride(frames)
     stride = counted * max(1, frames // counted // _SCANNED)
@@ -207,8 +207,8 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
 
 
 def overlap(fitted: Fitted) -> tuple[float, float]:
-    """The range of p, unit of q, that counted frames cover in both directions; the empty range (1, -1) with fewer than
-    _FEW_ONE_WAY frames of one direction."""
+    """The lowest and highest p, unit of q, between which counted frames cover both directions. (1, -1), an empty range,
+    with fewer than _FEW_ONE_WAY frames of one direction."""
     return _covered_both_ways(fitted.fit.simulated, fitted.masks)
 
 
@@ -256,15 +256,15 @@ def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
-    """(n,) how far the play's centre p (n,) has gone since it last changed its envelope, side (n,): since the tip last
-    began to move. Unit of q."""
+    """(n,) how far the play's centre p (n,) has gone, unit of q, since its envelope, side (n,), last changed: since the
+    tip last began to move."""
     turns = np.flatnonzero(np.diff(side, prepend=side[:1]))
     start = np.zeros(len(p), dtype=np.intp)
     start[turns] = turns
     return np.asarray(np.abs(p - p[np.maximum.accumulate(start)]))
 
 
-def _start(
+def _coarse_start(
     prepared: Sequence[PreparedTrack],
     domain: Domain,
     delay_s: float,

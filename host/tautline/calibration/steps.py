@@ -1,5 +1,5 @@
-"""Motors that step: their log jumps within one sample and so says nothing of where the motor went in between. Frames at
-which the tip still follows such a step are left out."""
+"""Motors that step: their log jumps within one sample, so that it does not say where the motor went in between. Frames
+at which the tip still follows such a step are left out."""
 
 from __future__ import annotations
 

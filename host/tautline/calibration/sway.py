@@ -97,7 +97,7 @@ def probability_of_rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Arra
     small = np.array([size <= _RESTS * side * np.sqrt(1.0 + 3.0 * memory / lasts) for size, memory in pairs])
     level = np.ones((len(y), 1))
     told = np.array([sway.log_likelihood(level, swing, y) for sway in sways])
-    follows = [sway.log_likelihood(_hats(path), swing, y) for path in paths for sway in sways]
+    follows = [sway.log_likelihood(_hat_functions(path), swing, y) for path in paths for sway in sways]
     # Marginal log likelihoods, each averaged over its prior's grid: `moving` half following the motor and half roaming.
     resting = logsumexp(told[small]) - np.log(small.sum())
     moving = np.logaddexp(
@@ -106,7 +106,7 @@ def probability_of_rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Arra
     return float(np.exp(-np.logaddexp(0.0, moving - resting)))
 
 
-def _hats(path: Array) -> Array:
+def _hat_functions(path: Array) -> Array:
     """(n, nodes) piecewise linear basis over the range of path (n,)."""
     nodes = np.linspace(path.min(), path.max(), _NODES)
     return np.stack([np.interp(path, nodes, row) for row in np.eye(_NODES)], axis=1)

@@ -209,12 +209,12 @@ def _extent(found: Measured) -> _Extent:
 
 def _measured_range(found: Measured) -> tuple[float, float]:
     """The lowest and highest position, unit of q, at which B is measured. With friction the tip starts to move at every
-    turn, so no onset tells a width: then it is the range that was passed both ways."""
+    turn, wherever that is: then it is the range that was passed both ways near the envelopes."""
     if found.joint_fit is not None and isinstance(found.hysteresis, Friction):
         low, high = overlap(found.joint_fit)
         if low < high:
             return low, high
-    return found.choice.measured(found.onset_curve, found.joint_fit, found.source)
+    return found.choice.measured_range(found.onset_curve, found.joint_fit, found.source)
 
 
 def _complete_sigma(found: Measured, extent: _Extent) -> Array:
@@ -315,7 +315,8 @@ def _uncertainty(found: Measured) -> Uncertainty:
 
 
 def _note_of_plays(found: Measured, near: Nearest) -> str:
-    """The note that a board's tables hold a few plays instead of this hysteresis, and what these leave."""
+    """The note that a board's tables hold a few plays (near) instead of the found hysteresis, and what share these
+    leave of what there is to undo."""
     plays = f"{len(near.elements.width)} plays, which leave {100.0 * near.share:.2g} % of what there is to undo"
     if isinstance(found.hysteresis, Friction):
         its = found.hysteresis.says(found.unit)

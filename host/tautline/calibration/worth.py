@@ -69,7 +69,7 @@ class Worth:
 
     @property
     def doubts(self) -> list[Reason]:
-        """A fatal reason where the model is useless, else none."""
+        """A list of one fatal reason if the model is useless, else an empty one."""
         if not self.useless:
             return []
         of_sensor = "camera, hand_eye" if self.unit == "px" else "coarse.gain, the unit of angle.csv"
@@ -96,17 +96,17 @@ def predictive_worth(
     residuals, masks = fit.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
-    errors, labels = residuals, _blocks(fit, masks)
+    errors, labels = residuals, _block_numbers(fit, masks)
     apart = labels is not None and joint_fit is not None and remaining is not None
     if labels is not None and apart:
         errors = _held_out_errors(fit, curves, residuals, masks, labels)
     masks = _frames_of_tip(fit, curves, errors, masks)
     in_unit = [miss * track.sigma[:, None] for miss, track in zip(errors, tracks, strict=True)]
     by_coarse = [track.y - _predicted_by_coarse_law(track, model) for track in tracks]
-    seen = _counted([track.y for track in tracks], masks)
+    seen = _counted_rows([track.y for track in tracks], masks)
     return Worth(
-        model=bounded_rms(_counted(in_unit, masks)),
-        coarse=bounded_rms(_counted(by_coarse, masks)),
+        model=bounded_rms(_counted_rows(in_unit, masks)),
+        coarse=bounded_rms(_counted_rows(by_coarse, masks)),
         constant=bounded_rms(seen - seen.mean(axis=0)),
         over_noise=_over_noise(fit, curves, errors, masks),
         unit=tracks[0].unit,
@@ -127,7 +127,7 @@ def _frames_of_tip(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks:
     is larger than STRAY times the usual one, and larger than a shift of the tip by all of B would make in the image.
     For that the image is taken to move with the tip at least as much as on average (rms), since a model that lets it
     rest there may be wrong."""
-    usual, widest = STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
+    usual, widest = STRAY * bounded_rms(_counted_rows(errors, masks)), float(fit.width(curves).max())
     kept = []
     for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):
         steep = np.linalg.norm(fit.slope_in_view(prepared.track, curves, sim.tip), axis=1)
@@ -145,7 +145,7 @@ def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Se
     moves the image; what passes repeat is no noise. Noise that is correlated in time makes neighbours differ less,
     which is corrected for. If only one of resting and moving noise is known it stands for both, and the stated one if
     neither is. Infinite if no two neighbouring frames count."""
-    limit = STRAY * bounded_rms(_counted(errors, masks))
+    limit = STRAY * bounded_rms(_counted_rows(errors, masks))
     tracks = [
         _squares(fit, curves, prepared, sim, off, mask, limit)
         for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True)
@@ -155,7 +155,7 @@ def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Se
     rests = [rest for track in tracks for rest in track.rests]
     # Correlation of the noise from frame to frame: neighbours differ by the share 1 - memory of the noise's variance.
     memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
-    every = [_mean([track.at_rest for track in tracks]), _mean([track.across for track in tracks])]
+    every = [_mean_square([track.at_rest for track in tracks]), _mean_square([track.across for track in tracks])]
     at_rest, moving = (square and square / (1.0 - memory) for square in every)
     if passes := _differ_by_passes(tracks):
         moving = min(moving, passes)
@@ -235,7 +235,7 @@ def _differ_by_passes(tracks: Sequence[_Squares]) -> float:
     within = _TOGETHER * float(np.median(sigma))
     apart, nearest = KDTree(place[~rises]).query(place[rises], distance_upper_bound=within)
     near = np.isfinite(apart)
-    return _mean([0.5 * (off[rises][near] - off[~rises][np.asarray(nearest)[near]]) ** 2])
+    return _mean_square([0.5 * (off[rises][near] - off[~rises][np.asarray(nearest)[near]]) ** 2])
 
 
 def _at_rest(t: Array, off: Array, resting: Mask) -> list[Array]:
@@ -245,14 +245,14 @@ def _at_rest(t: Array, off: Array, resting: Mask) -> list[Array]:
     return [less_its_trend(t[rest], off[rest], _SLOW) for rest in rests]
 
 
-def _mean(squares: Sequence[Array]) -> float:
+def _mean_square(squares: Sequence[Array]) -> float:
     """Mean of the squares of all tracks; 0 of fewer than _FEW."""
     every = np.concatenate(squares)
     return float(every.mean()) if len(every) >= _FEW else 0.0
 
 
-def _counted(off: Sequence[Array], masks: Sequence[Mask]) -> Array:
-    """(counted, k) the rows of the counted frames, of all tracks."""
+def _counted_rows(off: Sequence[Array], masks: Sequence[Mask]) -> Array:
+    """(counted, k) the rows of `off` (n, k), by track, at which the masks hold, of all tracks one after the other."""
     return np.concatenate([each[mask] for each, mask in zip(off, masks, strict=True)])
 
 
@@ -285,7 +285,7 @@ def _fit_of(
     return fit, Curves(width, c[:, None], model.delay_s, values)
 
 
-def _blocks(fit: PlayFit, masks: Sequence[Mask]) -> list[Labels] | None:
+def _block_numbers(fit: PlayFit, masks: Sequence[Mask]) -> list[Labels] | None:
     """By track, (n,) the number of each frame's block, 0 to BLOCKS - 1; -1 where it does not count. A block is a run of
     whole half-cycles of the tip. None if there are fewer than HALF_CYCLES half-cycles for each block."""
     strokes, before = [], 0
@@ -308,8 +308,8 @@ def _held_out_errors(
     labels: Sequence[Labels],
 ) -> list[Array]:
     """By track, (n, k) the errors over noise of each frame by a fit without the frame's block (module docstring), in
-    which the share STAYS of the block stays. labels: by track, of `_blocks`."""
-    scale = bounded_rms(_counted(residuals, masks))
+    which the share STAYS of the block stays. labels: by track, of `_block_numbers`."""
+    scale = bounded_rms(_counted_rows(residuals, masks))
     limit = STRAY * scale
     norms = [np.sqrt(np.mean(row**2, axis=1)) for row in residuals]
     weights = fit.weights_with_rounding([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
