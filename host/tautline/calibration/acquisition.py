@@ -192,7 +192,7 @@ def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | No
 def _path_error(track: Track, rig: Rig, scale: float) -> float:
     """rms distance, px of the rig's size, between the marker and the path that the rig has for the tip, if the track's
     frames are `scale` times the rig's size; taken at _LOOKED_AT frames. Infinite if a position has no bending angle, or
-    if the angles change with q more or less steeply than f_coarse by a factor of _LIKE_COARSE (not checked at scale
+    if the angles' slope by q is not f_coarse's within a factor of _LIKE_COARSE, sign included (not checked at scale
     1)."""
     some = np.linspace(0, len(track.t_s) - 1, min(_LOOKED_AT, len(track.t_s))).astype(int)
     scene_s = track.scene_s(rig.delay_s)[some]

@@ -189,8 +189,8 @@ class Choice:
         """(grid,) standard deviation, unit of q, to be added to B's in a hole: where no frame of one direction is
         within HOLE of the range. It is the distance beyond that, times a slope: _STEEPER times the rms slope of B
         elsewhere (SLOPE_UNTOLD if there is no elsewhere), or _BENDS typical widths over the range if that is more. 0
-        outside of holes; 0 everywhere if B was known beforehand, as its prior covers this. inside (grid,): where B was
-        measured. A hole is noticed in `findings`."""
+        outside of holes; 0 everywhere if one direction has no frame, or if B was known beforehand, as its prior covers
+        this. inside (grid,): where B was measured. A hole is noticed in `findings`."""
         if joint_fit.fit.beforehand is not None:
             return np.zeros(len(self.grid))
         distance = distance_to_both_ways(joint_fit, self.grid)
@@ -321,9 +321,9 @@ class Choice:
         return low < high and self.tip_moves()
 
     def _notice_gradual_start(self, widths: Sequence[Onset], passes: Fitted) -> None:
-        """Notices a gradual start, and adds its ratio to the evidence: the image's slope by q just after the onsets is,
-        in the median, at most _AT_ONCE of the slope that the passes' path has there. Then an onset is where the gradual
-        start begins, and not the play's width."""
+        """Adds to the evidence the ratio of two slopes of the image by q, in the median over the onsets: just after the
+        onset, and of the passes' path there. Notices a gradual start if it is at most _AT_ONCE: an onset is where the
+        gradual start begins then, and not the play's width."""
         p = np.array([o.q_mean for o in widths])
         path = passes.fit.follow.slope(passes.curves.follow, p)
         turn = 0.5 * np.array([o.direction for o in widths]) * passes.fit.backlash.slope(passes.curves.backlash, p)

@@ -160,11 +160,10 @@ def _offset_reason(track: Track, offset_s: float) -> Reason:
 def _at_one_delay(
     tracks: list[Track], offsets: list[float], rig: Rig, same_delay_for_all: bool
 ) -> tuple[list[Track], list[float]]:
-    """Tracks and their offsets, s, after those whose images stop at a clearly different delay were shifted to the delay
-    of the best recording, since a camera has one delay; the best is the likeliest one with a clock that was right.
-    Shifted are only tracks whose frames all fit the other delay (`_fits_at_own_delay`) and, if not same_delay_for_all,
-    that have an offset already. All stay as they are unless there are two markers' tracks or more, one of them with
-    offset 0."""
+    """Tracks and their offsets, s, with all images at one delay, as one camera has one. It is the delay of the
+    likeliest recording among those with offset 0. A track whose image stops at a clearly different delay is shifted to
+    it if all its frames fit its own delay (`_fits_at_own_delay`) and, if not same_delay_for_all, if it has an offset
+    already. All stay as they are with a single track, with an angle sensor's, or if no track has offset 0."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
         return tracks, offsets
     delays = [delay_of_stops([track], rig) for track in tracks]

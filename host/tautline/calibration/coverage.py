@@ -83,8 +83,8 @@ def _to_the_ends(q: Array, run: npt.NDArray[np.intp], first: float, last: float)
 
 
 def _neighbours(p: Array, at: Array) -> Array:
-    """(places, 2) for each place `at` (places,) the nearest of the sorted positions p (n,) below it and above it;
-    beyond all of p the last one, twice."""
+    """(places, 2) for each place `at` (places,) the nearest of the sorted positions p (n,) below it and above it; for a
+    place outside of all p its nearest one, twice."""
     k = np.searchsorted(p, at)
     return np.column_stack([p[np.clip(k - 1, 0, len(p) - 1)], p[np.clip(k, 0, len(p) - 1)]])
 

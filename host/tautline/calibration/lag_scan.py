@@ -109,8 +109,8 @@ class LagScan:
         return bool(self._polynomial_fit(lag_s, width)[1] @ self.coarse_direction > 0.0)
 
     def misfit(self, lag_s: float, width: float) -> float:
-        """Share of the variance of y that is left at a lag, s, and a play's width, unit of q; infinite where the
-        motor's record covers fewer than half of the frames."""
+        """Share of the variance of y that is left at a lag, s, and a play's width, unit of q; infinite if fewer than
+        half of the frames count (`_polynomial_fit`)."""
         return self._polynomial_fit(lag_s, width)[0]
 
     def _polynomial_fit(self, lag_s: float, width: float) -> tuple[float, Array]:

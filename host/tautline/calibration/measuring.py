@@ -304,9 +304,9 @@ class Measuring(_Setting):
         return replace(joint_fit, width_by_delay=width_by_delay) if fit_delay and delay_variance > 0.0 else joint_fit
 
     def _refit_with_own_law(self, before: Fitted, joint_fit: Fitted) -> Fitted:
-        """The joint fit with effects once more, with the f_remain that the first one (joint_fit) leaves: what effects
-        add to the bending angle is turned into a way along the path by it. The first fit if no f_remain can be fitted.
-        before: the joint fit without effects. Sets `effects`."""
+        """The joint fit with effects once more, with the f_remain that the first one (joint_fit) leaves: by f_remain
+        what effects add to the bending angle is turned into a way along the path. The first fit itself if no f_remain
+        can be fitted. before: the joint fit without effects. Sets `effects`."""
         self.effects = effects, values = joint_fit.effects_and_values
         width, delay_s = joint_fit.fit.width(joint_fit.curves), joint_fit.curves.delay_s
         remaining = self._remaining(width, delay_s, joint_fit.fit.settled_only)
@@ -507,7 +507,7 @@ class Measuring(_Setting):
 
     def _find_place(self, joint_fit: Fitted) -> None:
         """Sets the rig's `place`, if the same place on a bare tip was shown and followed in all tracks: where on the
-        tip it is. Leaves the rig as it is with a marker or with different places."""
+        tip it is, None if that cannot be found. Leaves the rig as it is with a marker or with different places."""
         shown = self.tracks[0].shown
         if shown is not None and all(track.shown == shown for track in self.tracks):
             self.rig = replace(self.rig, place=place_on_tip(joint_fit, self.rig, shown))

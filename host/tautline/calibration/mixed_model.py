@@ -170,8 +170,9 @@ class MixedModel:
 
     def join(self) -> bool:
         """Makes up to _JOIN_AT_ONCE candidates components and solves with them. Each is the one whose REML gain less
-        its price is largest, if that is at least REML_GAIN times the frames per independent one. A one-way component
-        whose value comes out negative is refused for good. Returns whether any candidate was tried."""
+        its price is largest. It joins if its gain is at least REML_GAIN plus its price, times the frames per
+        independent one. A one-way component whose value comes out negative is refused for good. Returns whether any
+        candidate was tried."""
         joined = False
         for _ in range(_JOIN_AT_ONCE):
             taken = set(self.selected.active) | self.selected.refused

@@ -132,8 +132,10 @@ class Track:
 
 
 def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
-    """One track for each recording, in the session's time: its marker where it has one and the rig a camera, else its
-    angle. TautError where a recording has neither, or some have the one and some the other."""
+    """One track for each recording, in the session's time: of its marker if it has one and the rig a camera, else of
+    its angle. Sway is taken out of squares that were followed on a bare tip and of what a tip's own camera sees
+    (`without_sway`). Raises TautError if a recording has neither, or some tracks are of a marker and some of an
+    angle."""
     tracks = []
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution

@@ -83,8 +83,8 @@ def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
 
 
 def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
-    """The fit made again with smoothing for as many frames as are independent: with less B would bend to what a real
-    joint does differently from stroke to stroke. The same fit if frames are nearly independent, or that is not
+    """The fit made again with smoothing for as many frames as are independent. (With less smoothing B bends to what a
+    real joint does differently from stroke to stroke.) The same fit if frames are nearly independent, or that is not
     known."""
     if noise is None or noise.effect < _ALIKE:
         return fitted

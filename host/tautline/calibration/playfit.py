@@ -392,7 +392,8 @@ class PlayFit:
 
     def begin_smoothing(self, curves: Curves, scale: float) -> None:
         """Sets each smoothing factor to scale^2 rank / (c' P c), the one at which a curve with coefficients c is as
-        rough as its prior has it; P is its penalty's matrix and rank that of P. scale: rms residual over noise."""
+        rough as its prior has it. P is its penalty's matrix; rank is that of P, for B that of its second differences
+        alone. scale: rms residual over noise."""
         bending, rank = self._bending(curves.follow.shape[1])
         rough = sum(float(c @ bending @ c) for c in curves.follow.T)
         rank *= curves.follow.shape[1]
@@ -404,8 +405,8 @@ class PlayFit:
     def adapt_smoothing(self, curves: Curves, system: Array, scale: float) -> None:
         """One Fellner-Schall step of each smoothing factor lambda towards the restricted likelihood's maximum, by at
         most a factor of _AT_ONCE: lambda <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c). C is the
-        inverse of `system` (m, m), the normal matrix with all penalties; P the penalty's matrix with its rank, c the
-        coefficients; scale: rms residual over noise."""
+        inverse of `system` (m, m), the normal matrix with all penalties; P, rank and c are as in `begin_smoothing`.
+        scale: rms residual over noise."""
         layout = self.layout(curves)
         inverse = inverse_of(with_ridge(system))
         bending, rank = self._bending(layout.channels)
@@ -601,8 +602,9 @@ def _ones_where_uncounted(weights: list[Array], masks: list[Mask]) -> list[Array
 
 
 def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, list[Array]]:
-    """By tracks' residuals (n, k) over noise and masks (n,): their scale, the rms with outliers cut at STRAY of it (1
-    without frames); and each frame's Huber weight, min(1, STRAY scale / its rms), 0 where it does not count."""
+    """The scale of the residuals (n, k) over noise, by track, at frames of the masks (n,): their rms, with frames cut
+    at STRAY times the usual one (by the median); 1 without frames. And each frame's Huber weight, min(1, STRAY scale /
+    its rms), 0 where it does not count."""
     each = [np.sqrt(np.einsum("nk,nk->n", r, r) / r.shape[1]) for r in residuals]
     norm = np.concatenate([size[m] for size, m in zip(each, masks, strict=True)])
     if len(norm) == 0:

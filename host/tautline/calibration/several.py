@@ -148,15 +148,15 @@ def _by_weight(fitted: Fitted) -> Array:
     narrow = Play(fit.grid, width).narrow
     warp = warp_of(fit.grid, width, narrow)
     middle = 0.5 * (np.interp(fit.grid + width / 2, warp.q, warp.x) + np.interp(fit.grid - width / 2, warp.q, warp.x))
-    by_y = 1.0 / np.maximum(np.gradient(middle, fit.grid), 1e-9)
+    by_x = 1.0 / np.maximum(np.gradient(middle, fit.grid), 1e-9)
     _, masks = fit.residuals(curves)
     far = 10.0 * float(np.abs(warp.x).max())
     plays = [_native.Plays(np.array([-far, far]), np.full(2, share)) for share in SHARES]
-    fits = []
+    columns = []
     for prepared, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
         driven = prepared.driven(curves.delay_s)
         positions, at = driven.positions, driven.at
         x = np.interp(positions, warp.q, warp.x)
         alone = [play.forward(x, -far)[0] for play in plays]
-        fits.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])
-    return np.concatenate(fits)
+        columns.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_x)[:, None])
+    return np.concatenate(columns)

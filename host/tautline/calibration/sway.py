@@ -94,14 +94,14 @@ def probability_of_rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Arra
     sways = [_Sway.of(t_s, size, memory, sigma) for size, memory in pairs]
     lasts = float(t_s[-1] - t_s[0])
     # The standard deviation about the mean in such a time: size / sqrt(1 + 3 memory / lasts), to a twentieth.
-    small = np.array([size <= _RESTS * side * np.sqrt(1.0 + 3.0 * memory / lasts) for size, memory in pairs])
+    may_rest = np.array([size <= _RESTS * side * np.sqrt(1.0 + 3.0 * memory / lasts) for size, memory in pairs])
     level = np.ones((len(y), 1))
     told = np.array([sway.log_likelihood(level, swing, y) for sway in sways])
     follows = [sway.log_likelihood(_hat_functions(path), swing, y) for path in paths for sway in sways]
     # Marginal log likelihoods, each averaged over its prior's grid: `moving` half following the motor and half roaming.
-    resting = logsumexp(told[small]) - np.log(small.sum())
+    resting = logsumexp(told[may_rest]) - np.log(may_rest.sum())
     moving = np.logaddexp(
-        logsumexp(follows) - np.log(len(follows)), logsumexp(told[~small]) - np.log((~small).sum())
+        logsumexp(follows) - np.log(len(follows)), logsumexp(told[~may_rest]) - np.log((~may_rest).sum())
     ) - np.log(2.0)
     return float(np.exp(-np.logaddexp(0.0, moving - resting)))
 

@@ -85,7 +85,8 @@ def judged_calibration(found: Measured) -> Calibration:
 
 
 def _delay_with_tracker_lag(found: Measured) -> Delay:
-    """The delay with a larger sigma: added in quadrature is by how much, s, the tracker may show a moving tip late."""
+    """The delay, its sigma increased (in quadrature) by the time, s, by which the tracker may show a moving tip
+    late."""
     delay, lag_s = found.delay, 0.0 if found.components is None else found.components.tracker_lag_s
     return replace(delay, sigma_s=float(np.hypot(delay.sigma_s, lag_s)))
 

@@ -155,8 +155,8 @@ def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Se
     rests = [rest for track in tracks for rest in track.rests]
     # Correlation of the noise from frame to frame: neighbours differ by the share 1 - memory of the noise's variance.
     memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
-    every = [_mean_square([track.at_rest for track in tracks]), _mean_square([track.across for track in tracks])]
-    at_rest, moving = (square and square / (1.0 - memory) for square in every)
+    variances = [_mean_square([track.at_rest for track in tracks]), _mean_square([track.across for track in tracks])]
+    at_rest, moving = (square and square / (1.0 - memory) for square in variances)
     if passes := _differ_by_passes(tracks):
         moving = min(moving, passes)
     at_rest, moving = at_rest or moving or 1.0, moving or at_rest or 1.0
@@ -329,7 +329,7 @@ def _held_out_errors(
         block = [
             replace(prepared, use=label == number).counting for prepared, label in zip(fit.tracks, labels, strict=True)
         ]
-        there = replace(fit, tracks=block).residuals(fit.moved(curves, step))[0]
-        for error, row, label, prepared in zip(errors, there, labels, block, strict=True):
+        without_block = replace(fit, tracks=block).residuals(fit.moved(curves, step))[0]
+        for error, row, label, prepared in zip(errors, without_block, labels, block, strict=True):
             error[label == number] = row[prepared.use]
     return errors
