@@ -217,6 +217,7 @@ def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]
         period = float(np.median(step))
         if np.mean(np.abs(step - period) < _STEADY * period) < 0.5:
             continue
+        # Periods of the rig for each one seen: a whole number where frames were lost evenly.
         steps = period * camera.frame_rate_hz
         if abs(steps - max(round(steps), 1)) > _RATE * max(round(steps), 1):
             return [

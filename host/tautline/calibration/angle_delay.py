@@ -80,6 +80,7 @@ def at_credible_delay(free: Fitted, delay: Delay, tracks: Sequence[Track], nomin
     own_s = free.curves.delay_s
     if free.scale <= _WHITE:
         return free
+    # A fitted delay that is off by so little may be due to a model error.
     at_nominal = abs(own_s - nominal_s) <= min(_SAMPLES * period_s(tracks), _LITTLE_S)
     fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
     fitted = fixed.solve(replace(free.curves, delay_s=nominal_s if at_nominal else delay.delay_s))

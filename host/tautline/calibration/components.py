@@ -318,6 +318,7 @@ class _Estimated:
         conditional mean changes by -C_xu C_uu^-1 u, where C is the covariance."""
         values = self.model.values[at]
         own = self.model.inverse[np.ix_(at, at)]
+        # C_uu^-1 u, with a ridge that keeps C_uu regular.
         pulled = np.linalg.solve(own + 1e-12 * float(np.trace(own)) / len(at) * np.eye(len(at)), values)
         chi2 = float(values @ pulled) / max(self.model.noise**2, 1e-30)
         rms = self.model.noise * float(np.sqrt(max(chi2, 0.0) / max(float(self.model.weight.sum()), 1.0)))

@@ -232,6 +232,7 @@ def _faster_hz(period_s: float, between: float, allowed: float) -> float:
     """The rate, Hz, at which the motor must be sampled so that straight lines between its samples are off its path by
     `allowed` at most. At samples period_s apart they are off by `between` (both in the unit of q), and the error is
     taken to fall with the period, as at a sharp turn. Rounded up to 1, 2 or 5 times a power of ten."""
+    # At 1 / period_s samples a second the error is `between`; it falls with the period.
     least = between / max(allowed, _FINEST * between) / period_s
     decade = 10.0 ** math.floor(math.log10(least))
     return decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9))

@@ -186,6 +186,7 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
     diagonal = np.diag_indices_from(gram)
     gram[diagonal] += _RIDGE * float(np.mean(gram[diagonal][:size]))
     step: Array = np.asarray(np.linalg.solve(gram, gradient), dtype=np.float64)
+    # How many times longer than allowed the step of the unknowns is; the whole step is shortened.
     too_far = float(np.max(np.abs(step[size:]) / (_LONGEST * sigma)))
     step = np.asarray(step / max(too_far, 1.0), dtype=np.float64)
     return fit.moved(state.curves, step[:size]), step[size:], _width_sigma_by_unknowns(state, gram, size)
@@ -196,6 +197,7 @@ def _width_sigma_by_unknowns(state: Fitted, gram: Array, size: int) -> Array:
     of D C D', with C their covariance once the curves are eliminated (Schur complement), and D = dB/du how B follows
     them. gram (m, m): normal matrix with priors, whose first `size` unknowns are the curves'."""
     fit, scale = state.fit, max(state.scale, 1e-6)
+    # Curves eliminated: they follow the unknowns by -G_cc^-1 G_cu, whose sign does not matter here.
     follows = np.linalg.solve(gram[:size, :size], gram[:size, size:])
     schur = gram[size:, size:] - gram[size:, :size] @ follows
     by = fit.backlash.design(fit.grid) @ follows[fit.layout(state.curves).backlash]

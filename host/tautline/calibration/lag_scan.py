@@ -142,6 +142,7 @@ class LagScan:
         covers. Kept in `last` until another lag is asked for, as a search tries several widths at each."""
         if lag_s not in self.last:
             track, scene, turns = self.track, self.track.scene_s(lag_s), len(self.turn_t)
+            # Turns come first in what is sorted, so a place less their number is a frame's index.
             order = np.argsort(np.concatenate([self.turn_t, scene]), kind="stable")
             inside = track.within_motor(scene)
             if self.reference is not None:

@@ -299,6 +299,7 @@ class Measuring(_Setting):
         joint_fit = fit.solve(path_only.step(curves, *path_only.residuals(curves)))
         joint_fit = allowing_for_place(joint_fit, place_noise(joint_fit))
         joint_fit = allowing_for_wander(joint_fit)
+        # dB/d(delay) along the posterior: cov(B, delay) / var(delay); the delay is the last unknown.
         block, delay_variance = fit.layout(joint_fit.curves).backlash, joint_fit.covariance[-1, -1]
         width_by_delay = basis.design(self.grid).toarray() @ joint_fit.covariance[block, -1] / delay_variance
         return replace(joint_fit, width_by_delay=width_by_delay) if fit_delay and delay_variance > 0.0 else joint_fit

@@ -226,6 +226,7 @@ def not_held(y: Array) -> Mask:
     runs = np.diff(changes)  # of the value that changes[i] began
     levels = np.unique(y[:, 0])
     resolution = least_step(levels) if len(levels) > 1 else np.inf
+    # Runs between two changes that are both too large to be steps of the resolution: the tip moves there.
     moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * resolution
     if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
         return fresh
@@ -233,6 +234,7 @@ def not_held(y: Array) -> Mask:
     edges = np.concatenate([[0], changes, [len(y)]])
     row = np.arange(len(y))
     run = np.searchsorted(edges, row, side="right") - 1
+    # Frames since the run began, and until it ends.
     since, left = row - edges[run], edges[run + 1] - row
     anew: Mask = (since == 0) | ((since % hold == 0) & (left >= hold))
     return anew
@@ -286,10 +288,13 @@ class NoiseByPlace:
         error = _ERROR_OF_LOG[tracks[0].y.shape[1]] / np.sqrt(frames[told])
         mean = float(np.sum(log / error**2) / np.sum(error**-2))
         off, spread_of = log - mean, np.hypot(error, np.log(_DIFFERS))
+        # Log likelihood of parts that differ, N(mean, spread_of^2), less that of one noise, N(mean, error^2).
         gain = 0.5 * ((off / error) ** 2 - (off / spread_of) ** 2) - np.log(spread_of / error)
         if not gain.sum() > 0.0:
             return cls()
         middles = 0.5 * (edges[1:] + edges[:-1])[told]
+        # Posterior mean of each part: its distance from the mean counts by the share of the parts' variance in
+        # spread_of^2.
         return cls(middles, mean + off * (np.log(_DIFFERS) / spread_of) ** 2)
 
 

@@ -235,6 +235,7 @@ def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> li
             continue
         t_s = onset.t_s - by_s
         before, now = tracks[onset.track].motor_at(np.array([onset.t_s, t_s]))
+        # The motor's travel in by_s, towards the stroke's direction.
         less = onset.direction * (before - now)
         low, high = max(onset.low - less, 0.0), max(onset.high - less, 0.0)
         q2 = onset.q1 + onset.direction * max(onset.width - less, 0.0)
@@ -403,6 +404,7 @@ def _posterior_of_delay(stops: Sequence[_Stop], nominal_s: float) -> tuple[float
         spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
         if spread > _RESOLVED * pitch:
             break
+        # The next grid is centred at the best delay and reaches some standard deviations to either side.
         reach = max(_RESOLVED * pitch, _GRID_SIGMAS * spread)
         grid = np.linspace(grid[best] - reach, grid[best] + reach, _GRID)
     return mean, spread

@@ -609,6 +609,7 @@ def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, li
     norm = np.concatenate([size[m] for size, m in zip(each, masks, strict=True)])
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
+    # A first scale by the median, which outliers do not move.
     middle = float(np.sqrt(np.median(norm**2))) * _USUAL[residuals[0].shape[1]]
     limit = STRAY * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)

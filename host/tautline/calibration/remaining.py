@@ -208,6 +208,7 @@ def _beside_the_path_px(fitted: Fitted) -> float:
         rows.append(np.column_stack([sim.tip[use], beside, own[use] / prepared.track.sigma[use] ** 2]))
     place, beside, weight = np.concatenate(rows).T  # unit of q, px, 1/px^2 as in the fit
     part = np.digitize(place, np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
+    # Sums over each part's frames, for its weighted mean and variance.
     terms = (weight, weight * beside, weight * beside**2, weight**2)
     weights, first, second, squared = (np.bincount(part, term, _PARTS) for term in terms)
     told = np.bincount(part, minlength=_PARTS) >= _FEW
@@ -234,9 +235,11 @@ def _rms_residual(fitted: Fitted, tracks: Sequence[Track]) -> float:
 def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Array:
     """The nearest curve, deg on grid (n,), that rises (or falls, if `falling`) by at least least_slope, deg per unit of
     q, everywhere: isotonic regression of the curve less that slope."""
+    # Rising by least_slope everywhere is rising at all once that slope is subtracted.
     tilt = least_slope * (grid - grid[0])
     sign = -1.0 if falling else 1.0
     rising = isotonic_regression(sign * curve - tilt).x + tilt
+    # Strictly: isotonic regression may leave equal neighbours.
     strict = rising + 1e-9 * (grid - grid[0]) * max(least_slope, 1e-6)
     return np.asarray(sign * strict)
 

@@ -37,6 +37,7 @@ def shared_variance(track: Track, rests: Mask) -> float:
     if np.count_nonzero(inner) < _FEW:
         return 0.0
     apart = np.clip(np.diff(track.y, axis=0)[1:-1][inner] / track.step, -1.0, 1.0)
+    # Half the mean squared difference is own^2, in steps^2: what frames share cancels.
     return track.step**2 * float(np.interp(0.5 * np.mean(apart**2), _OWN, _SHARED))
 
 

@@ -147,6 +147,7 @@ def _by_weight(fitted: Fitted) -> Array:
     width = fit.width(curves)
     narrow = Play(fit.grid, width).narrow
     warp = warp_of(fit.grid, width, narrow)
+    # x of the play's centre at each p of the grid, so that dp/dx is one over its slope.
     middle = 0.5 * (np.interp(fit.grid + width / 2, warp.q, warp.x) + np.interp(fit.grid - width / 2, warp.q, warp.x))
     by_x = 1.0 / np.maximum(np.gradient(middle, fit.grid), 1e-9)
     _, masks = fit.residuals(curves)

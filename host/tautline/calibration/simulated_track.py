@@ -82,8 +82,8 @@ class MotorAtFrames:
         return np.asarray(np.maximum.accumulate(np.maximum.accumulate(self.positions) - self.positions))
 
     def driven_through(self, travel: float) -> int:
-        """The index of the first position before which the motor had gone up by `travel`, unit of q, and down by it; m
-        if there is none."""
+        """The index of the first position by which the motor has gone up by `travel`, unit of q, and down by it; m if
+        there is none."""
         return max(int(np.searchsorted(self.rise, travel)), int(np.searchsorted(self.fall, travel)))
 
 
@@ -163,7 +163,7 @@ class PreparedTrack:
 
 
 def _driven_both_ways(driven: MotorAtFrames, travel: float, side: Array, other_side: Array) -> Mask:
-    """(n,) frames before which the play has been driven through a full backlash in both directions: the motor went up
+    """(n,) frames by which the play has been driven through a full backlash in both directions: the motor has gone up
     and down by `travel`, unit of q; the run from far below has been moved by the falling envelope, and the run from far
     above by the rising one. side, other_side (m,): envelope, +1 or -1, that last moved each of these two runs."""
     return driven.at >= max(driven.driven_through(travel), _first_true(side == -1), _first_true(other_side == 1))

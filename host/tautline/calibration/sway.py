@@ -49,6 +49,8 @@ class _Sway:
         """The process at times t_s (n,), s. size: its standard deviation; memory_s: its correlation time, s; sigma:
         standard deviation of the white noise."""
         kept, fresh = np.exp(-np.diff(t_s) / memory_s), -np.expm1(-2.0 * np.diff(t_s) / memory_s)
+        # Precision of the process at unit size, tridiagonal: each value is `kept` times the one before plus noise of
+        # variance `fresh`.
         precision = np.zeros((2, len(t_s)))  # upper form: what is beside the diagonal, the diagonal
         precision[1] = np.append(1.0, 1.0 / fresh) + np.append(kept**2 / fresh, 0.0)
         precision[0, 1:] = -kept / fresh
