@@ -1,7 +1,7 @@
-"""Whether recordings are what the rig says they are: frame size, unit of the range, clocks, what was seen where.
+"""Checks whether recordings are what the rig says they are: unit of the motor's range, frame size, clocks, and how much
+of the motion was seen.
 
-Each doubt is a Reason; what contradicts the rig so that nothing measured can be used is fatal.
-"""
+Each doubt is a Reason. It is fatal if, by the contradiction, nothing that is measured can be used."""
 
 from __future__ import annotations
 

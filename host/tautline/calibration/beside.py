@@ -1,9 +1,8 @@
-"""Effects of the library that are fitted together with B, path and delay: what was there from the first recording on.
+"""Effects of the library that were there from the first recording on, fitted together with B, path and delay.
 
-They move the tip's place along the curve that it follows, so the same values hold in a fit without poses and in one
-with them. What adds to the bending angle (a load's gain, another joint) moves that place by as much as the law
-f_remain, as it was known before, makes of the angle. With all amplitudes at zero the fit is the one without effects.
-"""
+Effects move the tip's place along the curve that it follows, so the same values hold in fits with poses and without. An
+effect that adds to the bending angle (a load's gain, another joint) moves that place by as much as the law f_remain,
+known from an earlier fit, needs for the angle. With all amplitudes at zero the fit is the one without effects."""
 
 from __future__ import annotations
 

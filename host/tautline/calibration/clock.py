@@ -1,10 +1,9 @@
-"""The sensor's clock against the motor's, before anything else is measured: by how much its times are late, from the
-data alone.
+"""The sensor's clock against the motor's: by how much the sensor's times are late, found from the data alone before
+anything else is measured.
 
-A lag is by how much the sensor's times are later than the motor's, s. It is the sum of a delay, which is near the
-nominal one, and of a clock's offset; lag_scan.py has the misfit at each. Delays are refined by the image's stops
-(onset.py), or of an angle sensor by a smooth B and path (angle_delay.py).
-"""
+A lag is by how much the sensor's times are later than the motor's, s. It is the sum of the sensor's delay, which is
+near the nominal one, and of the offset of its clock. lag_scan.py has the misfit at each lag. Delays are refined by the
+image's stops (onset.py) or, for an angle sensor, by a smooth B and path (angle_delay.py)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Where of the range B was measured: passed both ways and turned at; and what of the rest could be."""
+"""Where in the range B was measured, which is where the tip passed both ways and turned; and where in the rest it could
+be."""
 
 from __future__ import annotations
 

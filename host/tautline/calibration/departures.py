@@ -2,10 +2,9 @@
 (components.py).
 
 Each departure is a linear change of what the sensor sees, frame by frame: columns Z with a penalty matrix P, so that
-its values u have the prior N(0, s^2 P^-1). Departures of the transmission move the tip's place p and so the image along
-the path; those of the camera move the image itself. n: counted frames; channels: 2 of an image (px), 1 of an angle
-(deg). Columns are for the whitened image, channel by channel: (channels * n, m).
-"""
+its values u have the prior N(0, s^2 P^-1). Departures of the transmission move the tip's place p, and with it the image
+along the path; those of the camera move the image itself. n: counted frames; channels: 2 of an image (px), 1 of an
+angle (deg). Columns are for the whitened image (over the stated noise), channel by channel: (channels * n, m)."""
 
 from __future__ import annotations
 

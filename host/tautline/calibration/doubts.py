@@ -1,5 +1,5 @@
-"""Reasons to doubt a calibration, from its components (components.py): what each says of the instrument, its clock and
-its camera; and the errors that all strokes share, which no scatter shows."""
+"""Reasons to doubt a calibration, from its components (components.py): what each component says of the instrument, its
+clock and its camera; and from errors of B that all strokes share, which no scatter shows."""
 
 from __future__ import annotations
 

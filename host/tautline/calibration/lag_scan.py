@@ -1,8 +1,7 @@
-"""How well a track fits its motor at any lag, by how much the sensor's times are later than the motor's, s.
+"""How well a track fits its motor at any lag. A lag is by how much the sensor's times are later than the motor's, s.
 
-A play of constant width and a polynomial of fifth order are fitted to what the sensor saw. The share of the variance of
-y that they leave is the misfit: it needs no pose, no camera and no model of the instrument.
-"""
+At each lag a play of constant width and a polynomial of fifth order are fitted to what the sensor saw. The misfit is
+the share of the variance of y that they leave: it needs no pose, no camera and no model of the instrument."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Doubts about what was measured, before it is predicted with: a motion that tells too little, a tip whose place is not
-known, a rig that is not of this set-up.
-"""
+"""Doubts about what was measured, before anything is predicted with it: a motion that tells too little, a tip whose
+place is not known, a rig that is not of this set-up."""
 
 from __future__ import annotations
 

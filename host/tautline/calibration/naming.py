@@ -1,5 +1,5 @@
-"""The names of the effects that a calibration's own recordings show: those that a diagnosis of these recordings gives,
-and the reasons of the verdict with them."""
+"""The names of the effects that a calibration's own recordings show, which a diagnosis of these recordings gives; and
+the reasons of the verdict with these names."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """The tracker's error that depends on the place in the image, and how many frames make one independent one.
 
-Lossy video, glare, a lens and the marker's own shading move the marker by what is around it: neighbouring frames then
-err alike, and say less than as many independent ones. What other passes over the same places repeat is such an error;
-what they do not is scatter, or the model's error.
-"""
+Lossy video, glare, a lens and the marker's own shading move the marker by what is around it. Neighbouring frames then
+err alike, and tell less than as many independent ones. What other passes repeat at the same places is such an error;
+what they do not repeat is scatter, or the model's error."""
 
 from __future__ import annotations
 

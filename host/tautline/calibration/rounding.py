@@ -1,6 +1,6 @@
-"""A sensor that rounds to a step: while the tip rests, all frames have the same rounding error, so that many say little
-more than one. Own error: the part that differs from frame to frame.
-"""
+"""A sensor that rounds to a step: while the tip rests, all frames have the same rounding error, so that many frames
+tell little more than one. That error is shared by the frames of one rest; the own error is the part that differs from
+frame to frame."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""What a play with these curves does at each frame of a track: the motor as the frames saw it, the play's centre, and
-which frames tell of it.
+"""Simulates a play at each frame of a track: the motor's positions as the frames saw them, the play's centre, and which
+frames count.
 
-Positions and B are in the unit of q; n frames of a track.
-"""
+Positions and B are in the unit of q; n frames of a track."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """How the joint fit of B, path and delay (playfit.py) is begun and which frames it counts; and the fit of the passes
 alone, whose B is the distance between the ways up and down away from the reversals.
 
-The first approach are the frames before the tip was driven both ways through the backlash: B is not separate from the
-play's unknown start there.
-"""
+The first approach is the frames before the tip was driven both ways through the backlash: there B cannot be told from
+the play's unknown start."""
 
 from __future__ import annotations
 
