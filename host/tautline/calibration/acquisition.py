@@ -264,9 +264,9 @@ def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig, offset_s: f
 def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
     """A doubt, in a list, if a camera or sensor started late or stopped early: the motor moves without frames, or
     frames go on without the motor, for longer than both _LOST_ENDS_S and the share _LOST_ENDS of the motor's record. It
-    is fatal if the image does not follow the motor either, as two clocks that contradict each other make it. Empty
-    else, with fewer than _FEWEST frames, or if the motor never moves. offset_s: the sensor's clock less the motor's,
-    which `track` is on already."""
+    is mild if all motion was seen and every frame has a time; fatal if the image does not follow the motor either, as
+    two clocks that contradict each other make it. Empty else, with fewer than _FEWEST frames, or if the motor never
+    moves. offset_s: the sensor's clock less the motor's, which `track` is on already."""
     if len(track.t_s) < _FEWEST:
         return []
     motor, frames_s = recording.motor, track.t_s

@@ -25,14 +25,31 @@ _LARGE = 0.1  # tolerance: of the image's motion (rms): a registration that is o
 
 def doubt_onsets_and_remaining(found: Measured) -> None:
     """Adds notes and doubts about onsets and f_remain: no turn, no onset, reversals that were not used, a tip that did
-    not move, a rig that does not fit. A missing onset is mild if B is known otherwise (by the joint fit or the passes),
-    whose own sigma and predictions judge it."""
-    onsets, remaining, known_otherwise = found.onsets, found.remaining, found.source in (JOINT, PASSES)
+    not move, a rig that does not fit."""
     if found.options.beforehand is not None:
         found.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
     if strays := sum(track.stray for track in found.tracks):
         elsewhere = "frames show the marker" if found.camera else "values are"
         found.findings.notes.append(f"{strays} {elsewhere} elsewhere for a while: left out")
+    _doubt_onsets(found)
+    remaining = found.remaining
+    if remaining is None:
+        found.findings.doubt(
+            "coverage",
+            "the tip was never seen to move, f_remain is f_coarse",
+            "move by more than the backlash, within the view",
+            fatal=True,
+        )
+        return
+    found.findings.notes += remaining.notes
+    _doubt_rig(found, remaining)
+
+
+def _doubt_onsets(found: Measured) -> None:
+    """Adds a fatal doubt if the motor never turned, a doubt if no reversal showed an onset, and notes on why reversals
+    were not used. The second is mild if B is known otherwise (by the joint fit or the passes), whose own sigma and
+    predictions judge it, unless a stroke moved nothing."""
+    onsets, known_otherwise = found.onsets, found.source in (JOINT, PASSES)
     if not onsets:
         found.findings.doubt(
             "coverage", "the motor never turned back", "move back and forth by more than B", fatal=True
@@ -52,16 +69,6 @@ def doubt_onsets_and_remaining(found: Measured) -> None:
     for reason in dict.fromkeys(o.reason for o in onsets if o.reason and not o.used):
         count = sum(o.reason == reason and not o.used for o in onsets)
         found.findings.notes.append(f"{count} of {len(onsets)} reversals not used: {reason}")
-    if remaining is None:
-        found.findings.doubt(
-            "coverage",
-            "the tip was never seen to move, f_remain is f_coarse",
-            "move by more than the backlash, within the view",
-            fatal=True,
-        )
-        return
-    found.findings.notes += remaining.notes
-    _doubt_rig(found, remaining)
 
 
 def doubt_place(found: Measured) -> None:

@@ -333,17 +333,9 @@ class PlayFit:
                 pull[block] += scale * scale * pulled
         if self.fit_backlash:
             block = layout.backlash
-            rough = self.smoothing["backlash"] * self.backlash.roughness
-            matrix[block, block] += rough
-            pull[block] += rough @ curves.backlash
-            stiff, bend = _steep_steps(curves.backlash, STEEPEST * _WITHIN * self.backlash.step)
-            weight = _STIFF * scale * scale / self.backlash.step**2
-            matrix[block, block] += weight * stiff
-            pull[block] += weight * bend
-            if self.beforehand is not None:
-                known, pulled, _ = self.beforehand.of_width(self.backlash, curves.backlash)
-                matrix[block, block] += scale * scale * known
-                pull[block] += scale * scale * pulled
+            own, own_pull = self._width_penalty(curves, scale)
+            matrix[block, block] += own
+            pull[block] += own_pull
         else:
             matrix[layout.backlash, layout.backlash] += np.eye(self.backlash.size)
         if self.rising:
@@ -361,6 +353,19 @@ class PlayFit:
         if self.effects is not None:
             at = np.r_[layout.effects]
             matrix[at, at] += scale * scale * self.effects.precision if self.fit_effects else 1.0
+        return matrix, pull
+
+    def _width_penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
+        """The part of `penalty` for B's coefficients, (m_b, m_b) and (m_b,): smoothness, |B'| <= STEEPEST as a stiff
+        penalty, and what is known of B beforehand."""
+        rough = self.smoothing["backlash"] * self.backlash.roughness
+        stiff, bend = _steep_steps(curves.backlash, STEEPEST * _WITHIN * self.backlash.step)
+        weight = _STIFF * scale * scale / self.backlash.step**2
+        matrix, pull = rough + weight * stiff, rough @ curves.backlash + weight * bend
+        if self.beforehand is not None:
+            known, pulled, _ = self.beforehand.of_width(self.backlash, curves.backlash)
+            matrix += scale * scale * known
+            pull += scale * scale * pulled
         return matrix, pull
 
     def _path_beforehand(self, channels: int) -> Beforehand | None:
