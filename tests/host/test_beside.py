@@ -124,9 +124,9 @@ def test_an_effect_is_read_and_written_as_a_model_has_it() -> None:
     beside, values = FittedEffects.of([Effect("transmission.rate_dependent_backlash", by_speed)], SOUND)
     assert len(values) == 3 and beside.held == {"width_held": 1.0}
     assert beside.to_effects(values)[0].parameters == by_speed
-    assert not beside.ended(values)
-    assert beside.ended(values + np.array([0.0, 2.0, 0.0]))
-    assert not beside.ended(values * np.array([1.0, 0.0, 1.0]))  # saturates at no speed
+    assert not beside.any_at_end(values)
+    assert beside.any_at_end(values + np.array([0.0, 2.0, 0.0]))
+    assert not beside.any_at_end(values * np.array([1.0, 0.0, 1.0]))  # saturates at no speed
 
 
 def test_a_model_alone_has_no_effects_and_is_otherwise_the_same() -> None:

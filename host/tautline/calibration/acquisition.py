@@ -1,7 +1,7 @@
-"""Whether recordings are what the rig says they are: frame size, unit of the range, clocks, what was seen where.
+"""Checks whether recordings are what the rig says they are: unit of the motor's range, frame size, clocks, and how much
+of the motion was seen.
 
-Each doubt is a Reason; what contradicts the rig so that nothing measured can be used is fatal.
-"""
+Each doubt is a Reason. It is fatal if, by the contradiction, nothing that is measured can be used."""
 
 from __future__ import annotations
 
@@ -51,8 +51,10 @@ _BINS = 24  # tolerance: edges of the bins of the motor's range in each of which
 def rig_contradictions(
     recordings: Sequence[Recording], tracks: Sequence[Track], offsets_s: Sequence[float], rig: Rig
 ) -> list[Reason]:
-    """The reasons of what contradicts the rig, and of motion that was not seen. tracks: of the recordings, on the
-    motor's clock, from which their sensors' clocks differ by offsets_s."""
+    """Returns the doubts about recordings that contradict the rig (unit of the range, frame size, frame rate, clocks)
+    or in which the marker or a part of the motion was not seen; empty if there are none. tracks: one for each
+    recording, with times on the motor's clock; offsets_s: each sensor's clock less the motor's, s, which the tracks'
+    times no longer contain."""
     reasons = _range_in_another_unit(tracks, rig)
     if rig.camera is not None and tracks[0].unit == "px":  # observations are of one kind
         reasons += _wrong_frame_size(recordings, tracks, rig, rig.camera)
@@ -76,15 +78,16 @@ def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:
 
 
 def mistaken_unit(factor: float, unit: str, slack: float) -> str:
-    """The name of the unit that values are in if they must be multiplied by `factor` to be in `unit` ("mm" or "deg"):
-    the one of _MISTAKEN whose factor is nearest; empty if that is off by more than a factor of `slack`."""
-    distance, name = min((abs(np.log(max(factor, 1e-12) / known)), name) for known, name in _MISTAKEN[unit])
+    """The name of the unit that values are probably in if they must be multiplied by `factor` to be in `unit` ("mm" or
+    "deg"): 1000 and "mm" give "metres". It is the entry of _MISTAKEN[unit] with the nearest factor; empty if even that
+    differs by more than a factor of `slack`."""
+    distance, name = min((abs(np.log(max(factor, 1e-12) / unit_factor)), name) for unit_factor, name in _MISTAKEN[unit])
     return name if distance < np.log(slack) else ""
 
 
 def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
-    """A fatal reason, in a list, where the motor's positions, the rig's range and coarse.gain cannot be in one unit;
-    empty where they can."""
+    """A fatal reason, in a list, if the motor's positions and the rig's range cannot be in one unit, or f_coarse bends
+    the tip by more than _MOST_BEND_DEG over the range, so that coarse.gain and the range cannot be; else empty."""
     actuator, bend_deg = rig.actuator, float(np.ptp(coarse_range_deg(rig)))
     low, high = min(float(t.motor.q.min()) for t in tracks), max(float(t.motor.q.max()) for t in tracks)
     if in_another_unit((low, high), rig):
@@ -121,8 +124,9 @@ def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 def _wrong_frame_size(
     recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera
 ) -> list[Reason]:
-    """A fatal reason, in a list, where frames of the recordings or marker positions of their tracks are not of the
-    rig's frame size; empty where none contradicts it."""
+    """A fatal reason, in a list, if a recording's frames have another size than the rig's, or else if the marker
+    positions of a track are not of the rig's frame size (`_frame_size_by_places`); only the first one found. Empty if
+    there is none."""
     nominal = (camera.width_px, camera.height_px)
     for recording in recordings:
         size = recording.marker.frame_px if recording.marker is not None else None
@@ -145,7 +149,7 @@ def _wrong_frame_size(
 
 
 def _remedy_of_scale(scale: float) -> str:
-    """What to do about frames that are `scale` times the rig's size, by both sides alike."""
+    """The remedy, in words, for frames whose width and height are both `scale` times the rig's."""
     return (
         "record at the rig's size, or, where the whole view was scaled and not cut, multiply fx_px, fy_px, cx_px, "
         f"cy_px, width_px and height_px by {scale:.4g}"
@@ -153,8 +157,9 @@ def _remedy_of_scale(scale: float) -> str:
 
 
 def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
-    """A fatal reason where marker positions lie outside of the rig's frame, or on the tip's path only if they are
-    scaled. None where neither is so, or with a single frame."""
+    """A fatal reason if the marker is far from the tip's path, but on it if its positions are divided by one of
+    _SCALES; or if it is outside of the rig's frame for _IN_A_ROW frames in a row. None if neither is so, or with fewer
+    than two frames."""
     if len(track.t_s) < 2:
         return None
     size = np.array([camera.width_px, camera.height_px])
@@ -185,9 +190,10 @@ def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | No
 
 
 def _path_error(track: Track, rig: Rig, scale: float) -> float:
-    """rms distance, px of the rig's size, of the marker from the tip's path, at _LOOKED_AT frames, if these are `scale`
-    times the rig's size; infinite where no angle shows the marker so, or the angles' slope is not f_coarse's within a
-    factor of _LIKE_COARSE (not asked at scale 1)."""
+    """rms distance, px of the rig's size, between the marker and the path that the rig has for the tip, if the track's
+    frames are `scale` times the rig's size; taken at _LOOKED_AT frames. Infinite if a position has no bending angle, or
+    if the angles' slope by q is not f_coarse's within a factor of _LIKE_COARSE, sign included (not checked at scale
+    1)."""
     some = np.linspace(0, len(track.t_s) - 1, min(_LOOKED_AT, len(track.t_s))).astype(int)
     scene_s = track.scene_s(rig.delay_s)[some]
     q, others = track.motor_at(scene_s), track.others_at(scene_s)
@@ -201,8 +207,9 @@ def _path_error(track: Track, rig: Rig, scale: float) -> float:
 
 
 def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
-    """A doubt, in a list, where more than half of the frames come at a steady rate that is not the rig's; frames that
-    were lost leave multiples of its period."""
+    """A doubt, in a list, about the first recording most of whose frame intervals are equal but are neither the rig's
+    frame period nor a multiple of it, as lost frames leave; else empty. Recordings of fewer than _FEWEST frames are not
+    judged."""
     for recording in recordings:
         if recording.marker is None or len(recording.marker.t_s) < _FEWEST:
             continue
@@ -210,6 +217,7 @@ def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]
         period = float(np.median(step))
         if np.mean(np.abs(step - period) < _STEADY * period) < 0.5:
             continue
+        # Periods of the rig for each one seen: a whole number where frames were lost evenly.
         steps = period * camera.frame_rate_hz
         if abs(steps - max(round(steps), 1)) > _RATE * max(round(steps), 1):
             return [
@@ -224,20 +232,21 @@ def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]
 
 
 def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig, offset_s: float) -> list[Reason]:
-    """A doubt, in a list, where the marker was mostly not seen in parts of the motor's range; empty where it was.
-    offset_s: the camera's clock less the motor's."""
+    """A doubt, in a list, if the marker is valid in fewer than the share _SEEN of the frames in one of _PLACES equal
+    parts of the motor's range (parts of fewer than _FEWEST frames are not judged); else empty. offset_s: the camera's
+    clock less the motor's."""
     motor = recording.motor
     scene = marker.t_s - offset_s - rig.nominal_delay_s(MARKER)
     inside = (scene >= motor.t_s[0]) & (scene <= motor.t_s[-1])
     q = np.interp(scene, motor.t_s, motor.q)
     edges = np.linspace(motor.q.min(), motor.q.max(), _PLACES + 1)
-    dark = np.zeros(_PLACES, dtype=bool)
+    unseen = np.zeros(_PLACES, dtype=bool)
     for k, (low, high) in enumerate(pairwise(edges)):
-        here = inside & (q >= low) & (q <= high)
-        dark[k] = here.sum() >= _FEWEST and np.mean(marker.valid[here]) < _SEEN
-    if not dark.any():
+        in_part = inside & (q >= low) & (q <= high)
+        unseen[k] = in_part.sum() >= _FEWEST and np.mean(marker.valid[in_part]) < _SEEN
+    if not unseen.any():
         return []
-    where = " and ".join(f"from {edges[at.start]:.3g} to {edges[at.stop]:.3g}" for at in stretches(dark))
+    where = " and ".join(f"from {edges[at.start]:.3g} to {edges[at.stop]:.3g}" for at in stretches(unseen))
     seen = np.mean(marker.valid[inside])
     return [
         Reason(
@@ -253,9 +262,11 @@ def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig, offset_s: f
 
 
 def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
-    """A doubt, in a list, where motion of the motor has no frames, or frames go on without the motor, for longer than
-    _LOST_ENDS_S and _LOST_ENDS: a camera that started late or stopped early; or two clocks, which is fatal where the
-    image does not follow the motor. offset_s: the sensor's clock less the motor's, which `track` is on already."""
+    """A doubt, in a list, if a camera or sensor started late or stopped early: the motor moves without frames, or
+    frames go on without the motor, for longer than both _LOST_ENDS_S and the share _LOST_ENDS of the motor's record. It
+    is mild if all motion was seen and every frame has a time; fatal if the image does not follow the motor either, as
+    two clocks that contradict each other make it. Empty else, with fewer than _FEWEST frames, or if the motor never
+    moves. offset_s: the sensor's clock less the motor's, which `track` is on already."""
     if len(track.t_s) < _FEWEST:
         return []
     motor, frames_s = recording.motor, track.t_s
@@ -263,7 +274,7 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
         frames_s = recording.marker.t_s - offset_s
     first, last = float(frames_s[0]) - delay_s, float(frames_s[-1]) - delay_s
     frames_last, motor_lasts = last - first, float(motor.t_s[-1] - motor.t_s[0])  # s
-    slack, motion = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts), _motion(motor)
+    slack, motion = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts), _moving_interval(motor)
     if motion is None:
         return []
     begin, end = motion
@@ -271,17 +282,17 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
     if missing <= slack and frames_last - motor_lasts <= slack:
         return []
     says = f"{recording.name}: its frames last {frames_last:.4g} s, its motor {motor_lasts:.4g}"
-    left = _unexplained_share(track, delay_s)
-    if left > _SCATTERED:
+    share = _unexplained_share(track, delay_s)
+    if share > _SCATTERED:
         return [
             Reason(
                 "clock",
-                f"{says}, and the image does not follow the motor ({100 * left:.0f} % of its motion is elsewhere)",
+                f"{says}, and the image does not follow the motor ({100 * share:.0f} % of its motion is elsewhere)",
                 "the clocks contradict each other: give the frames' arrival times on the motor's clock (frames.csv)",
                 fatal=True,
             )
         ]
-    camera, mild = "camera" if track.unit == "px" else "sensor", missing <= slack  # all that counts was seen
+    camera, mild = "camera" if track.unit == "px" else "sensor", missing <= slack  # mild: all motion was seen
     if not mild:
         what, remedy = f"{missing:.3g} s of the motion have no frames", f"start the {camera} first and stop it last"
     else:
@@ -293,9 +304,9 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
     return [Reason("duration", f"{says}: {what}", remedy, mild=mild)]
 
 
-def _motion(motor: Motor) -> tuple[float, float] | None:
-    """When the motor first was off its first place and last off its last one, s, by _LEAVES; None where it never
-    was."""
+def _moving_interval(motor: Motor) -> tuple[float, float] | None:
+    """When, s, the motor first left the position of its first sample and last was away from that of its last one, by
+    more than the share _LEAVES of its range. None if it never moved."""
     off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > _LEAVES * np.ptp(motor.q))
     off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > _LEAVES * np.ptp(motor.q))
     if not len(off_start) or not len(off_end):
@@ -304,19 +315,20 @@ def _motion(motor: Motor) -> tuple[float, float] | None:
 
 
 def _unexplained_share(track: Track, delay_s: float) -> float:
-    """Share (0 to 1) of the image's variance that the means in bins of the motor's position leave, for the better of
-    either direction of motion taken alone, so that backlash is no part of it. 0 where too few frames move."""
+    """Share (0 to 1) of the variance of y that the motor's position does not explain: what is left after subtracting
+    the mean y of each of _BINS bins of the position. It is taken for rising and for falling motion alone, so that
+    backlash adds nothing, and the smaller one is returned; 0 if both have fewer than _FEWEST frames."""
     scene = track.scene_s(delay_s)
     inside = track.within_motor(scene)
-    q, way = track.motor_at(scene), track.motor_at(scene + _AROUND_S) - track.motor_at(scene - _AROUND_S)
+    q, travel = track.motor_at(scene), track.motor_at(scene + _AROUND_S) - track.motor_at(scene - _AROUND_S)
     shares = []
     for sign in (1, -1):
-        going = inside & (sign * way > 0)
-        if going.sum() < _FEWEST:
+        in_direction = inside & (sign * travel > 0)
+        if in_direction.sum() < _FEWEST:
             continue
-        place = np.digitize(q[going], np.linspace(q[going].min(), q[going].max(), _BINS))
-        y = track.y[going]
+        bins = np.digitize(q[in_direction], np.linspace(q[in_direction].min(), q[in_direction].max(), _BINS))
+        y = track.y[in_direction]
         total = float(np.sum((y - y.mean(axis=0)) ** 2))
-        left = sum(float(np.sum((y[place == k] - y[place == k].mean(axis=0)) ** 2)) for k in np.unique(place))
+        left = sum(float(np.sum((y[bins == k] - y[bins == k].mean(axis=0)) ** 2)) for k in np.unique(bins))
         shares.append(left / max(total, 1e-12))
     return min(shares, default=0.0)

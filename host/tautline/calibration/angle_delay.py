@@ -34,8 +34,10 @@ _SAMPLES, _LITTLE_S = 1.5, 0.01  # prior: frame periods, and s: a delay that is 
 
 
 def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
-    """The posterior of the delay at which a smooth B and a smooth path fit all frames, its prior about the nominal
-    delay (_UNSTATED_S where the rig states none); the nominal delay with infinite sigma where nothing tells it."""
+    """The delay of an angle sensor by all its frames: posterior mean and standard deviation, by how closely a smooth B
+    and a smooth path fit at each delay. Its prior is normal, about the rig's delay with sigma _STATED_S, or _UNSTATED_S
+    (mean, sigma) if the rig states none. The nominal delay with sigma inf if no track can be scanned (`LagScan.of`), or
+    the tip is seen at too few places."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
     scans = [scan for scan in (LagScan.of(track, rig, FRAMES[1]) for track in tracks) if scan is not None]
     if not scans:
@@ -50,13 +52,14 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
         return Delay(nominal_s, np.inf, 0)
 
 
-def _delay_posterior(scans: Sequence[LagScan], prior_mean_s: float, start: float, prior_sigma_s: float) -> Delay:
-    """Posterior mean and standard deviation of the delay, s, by a search and ever finer grids; with stiffer curves
-    where the first do not tell it to _TOLD_S. prior_mean_s, prior_sigma_s: of the normal prior; start: where plays of
-    constant width fit best, s."""
+def _delay_posterior(scans: Sequence[LagScan], prior_mean_s: float, start_s: float, prior_sigma_s: float) -> Delay:
+    """Posterior mean and standard deviation of the delay, s: a search in steps of _COARSE_S, then grids of ever finer
+    pitch until one is finer than the posterior's spread. If that is not below _TOLD_S, all is done again with stiffer
+    curves. prior_mean_s, prior_sigma_s: of the normal prior; start_s: delay at which plays of constant width fit
+    best."""
     for spans in _SPANS:
-        profile = _DelayDeviance(scans, spans, prior_mean_s, prior_sigma_s, start)
-        best = min((prior_mean_s, 0.5 * (start + prior_mean_s), start), key=profile.deviance)
+        profile = _DelayDeviance(scans, spans, prior_mean_s, prior_sigma_s, start_s)
+        best = min((prior_mean_s, 0.5 * (start_s + prior_mean_s), start_s), key=profile.deviance)
         while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.deviance)) != best:
             best = better
         for pitch_s in (share * _COARSE_S for share in _GRIDS):
@@ -69,13 +72,15 @@ def _delay_posterior(scans: Sequence[LagScan], prior_mean_s: float, start: float
 
 
 def at_credible_delay(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: float) -> Fitted:
-    """An angle sensor's joint fit at a delay that its model errors cannot have moved. free: with the delay fitted,
-    which is kept if it leaves only noise. Else model errors are there: the delay is the nominal one if the fitted one
-    is within about a sample of it, else `delay` (of `delay_of_all`), unless the fitted one is likely beside that and
-    leaves clearly less."""
+    """The joint fit of an angle sensor at a delay that model errors cannot have moved. free: the fit with the delay
+    fitted, which is returned as it is if it leaves only noise. Else the fit is repeated with the delay held: at the
+    nominal one if the fitted one is near it (within _SAMPLES frame periods and _LITTLE_S), else at `delay` (of
+    `delay_of_all`). In the latter case `free` is returned all the same if its delay is within _LIKELY sigmas of `delay`
+    and the fit that holds it leaves more than _CLEARLY times the residual."""
     own_s = free.curves.delay_s
     if free.scale <= _WHITE:
         return free
+    # A fitted delay that is off by so little may be due to a model error.
     at_nominal = abs(own_s - nominal_s) <= min(_SAMPLES * period_s(tracks), _LITTLE_S)
     fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
     fitted = fixed.solve(replace(free.curves, delay_s=nominal_s if at_nominal else delay.delay_s))
@@ -84,9 +89,10 @@ def at_credible_delay(free: Fitted, delay: Delay, tracks: Sequence[Track], nomin
 
 
 class _DelayDeviance:
-    """The deviance (-2 log posterior density, but for a constant) of a delay, by all frames of all tracks and a normal
-    prior. The frames' part is 2 N log(scale): scale the residual over noise of the best smooth B and path at that
-    delay, N the number of independent residuals, at most _PER_STROKE a stroke, as model errors repeat."""
+    """The deviance (-2 log posterior density but for a constant) of a delay, by all frames of all tracks and a normal
+    prior. The frames' part is 2 N log(scale), where scale is the residual over noise that the best smooth B and path
+    leave at that delay, and N the number of independent residuals, at most _PER_STROKE for each of _STROKES strokes, as
+    model errors repeat from stroke to stroke."""
 
     def __init__(
         self,
@@ -96,8 +102,8 @@ class _DelayDeviance:
         prior_sigma_s: float,
         start_s: float,
     ) -> None:
-        """spans: of the splines of B and of the path. prior_mean_s, prior_sigma_s: of the normal prior; start_s: the
-        delay at which N is counted."""
+        """spans: numbers of spans of the splines of B and of the path. prior_mean_s, prior_sigma_s: of the normal
+        prior. start_s: the delay at which N is counted."""
         self._scans, self._prior_mean_s, self._prior_sigma_s = scans, prior_mean_s, prior_sigma_s
         low = min(scan.low for scan in scans)
         high = max(scan.low + scan.span for scan in scans)
@@ -111,10 +117,10 @@ class _DelayDeviance:
         self._smoothing = dict(self._fit.smoothing)
         self._found: dict[float, float] = {}
         strokes = sum(len(scan.turn_t) - 1 for scan in scans)
-        self._independent = min(_independent(self._solved(start_s)), _PER_STROKE * min(strokes, _STROKES))
+        self._independent = min(_independent_residuals(self._solved(start_s)), _PER_STROKE * min(strokes, _STROKES))
 
     def deviance(self, delay_s: float) -> float:
-        """The deviance of a delay, s; kept for the next time."""
+        """The deviance of a delay, s; computed once for each."""
         key = round(delay_s, 7)
         if key not in self._found:
             left = 2.0 * self._independent * float(np.log(self._solved(delay_s).scale))
@@ -122,8 +128,8 @@ class _DelayDeviance:
         return self._found[key]
 
     def posterior(self, centre_s: float, pitch_s: float) -> tuple[float, float]:
-        """Posterior mean and standard deviation, s, on a grid of delays pitch_s apart, _EITHER_SIDE of them below and
-        above centre_s; the grid's own rounding is in the latter."""
+        """Posterior mean and standard deviation, s, from the deviance on a grid of delays, pitch_s apart, _EITHER_SIDE
+        of them on each side of centre_s. The standard deviation includes that of a uniform density of one pitch."""
         delays = centre_s + pitch_s * np.arange(-_EITHER_SIDE, _EITHER_SIDE + 1)
         deviance = np.array([self.deviance(float(delay)) for delay in delays])
         weight = np.exp(-0.5 * (deviance - deviance.min()))
@@ -132,8 +138,8 @@ class _DelayDeviance:
         return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), of_rounding(pitch_s)))
 
     def _solved(self, delay_s: float) -> Point:
-        """The fit with the delay held at this, s, started from the constant width that fits best and the first
-        smoothing."""
+        """The fit of B and path with the delay held at delay_s. It starts from the constant width with the least misfit
+        there, a path of 0 and the smoothing of a new fit, so that it depends on no delay that was solved before."""
         fit, channels = self._fit, self._scans[0].track.y.shape[1]
         fit.smoothing = dict(self._smoothing)
         widths = [share * self._scans[0].span for share in WIDTHS]
@@ -142,9 +148,9 @@ class _DelayDeviance:
         return fit.descended(flat, _STEPS)
 
 
-def _independent(point: Point) -> float:
-    """The number of independent residuals: frames over `first_order`, how many correlated neighbours make one; 1 at
-    least."""
+def _independent_residuals(point: Point) -> float:
+    """The number of independent residuals of a fit, 1 at least: each track's counted frames over `first_order`, which
+    says how many correlated neighbours tell as much as one independent frame."""
     count = 0.0
     for rows, mask in zip(point.residuals, point.masks, strict=True):
         r = rows[mask]

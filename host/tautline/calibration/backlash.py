@@ -93,10 +93,10 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
 
 
 def fit_widths(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
-    """Penalised spline through all used onsets: hinges by their sigma, brackets as intervals, a bound that the curve
-    violates as one more width. The smoothing is that of cross-validation, with brackets of the restricted likelihood.
-    Beyond what was measured B is constant and its sigma grows by SLOPE_UNTOLD times the distance. None where no width
-    was measured."""
+    """B(q) by a penalised spline through all used onsets: hinges by their sigma, brackets as intervals, and bounds that
+    the curve would violate as further widths. The smoothing is chosen by cross-validation, or by the restricted
+    likelihood if there are brackets. Beyond the measured positions B is constant and its sigma grows by SLOPE_UNTOLD
+    times the distance. None if no width was measured."""
     widths = with_width(onsets)
     if not widths:
         return None
@@ -142,8 +142,9 @@ class _WidthFit:
         return np.asarray(np.maximum(np.hypot(self.stated * turned, self.excess), 1e-12))
 
     def _add_violated_bounds(self) -> None:
-        """Adds strokes that moved nothing though they were longer than the curve says as widths of that length, each
-        with the median sigma and a note."""
+        """Adds to the widths each stroke that moved nothing though it was longer than B is there by the curve, as a
+        width of the stroke's length with the median sigma; takes it off `bounds` and adds a note. Sets `design`
+        anew."""
         for onset in list(self.bounds):
             if float(self.basis.value(self.coefficients, np.array([onset.q_mean]))[0]) < onset.low:
                 self.bounds.remove(onset)
@@ -158,15 +159,15 @@ class _WidthFit:
         self.design = self.basis.design(self.p).toarray()
 
     def solve(self) -> None:
-        """Fits the curve in some rounds, as weights, smoothing, excess scatter and bounds depend on it; then
-        anew with brackets as intervals, if there are any."""
+        """Fits the curve in at most _ROUNDS rounds, as weights, smoothing, excess scatter and violated bounds depend on
+        the curve; then anew with brackets as intervals, if there are any."""
         for turn in range(_ROUNDS):
             if turn:
                 self._add_violated_bounds()
             self.spread = self._effective_sigma()
             weight = self.spread**-2
             unit = float(np.median(weight))
-            self.roughness = self._cross_validated(weight, unit) * unit
+            self.roughness = self._cross_validated_smoothing(weight, unit) * unit
             before = self.coefficients
             self._solve(weight)
             self.excess = self._excess(weight)
@@ -175,10 +176,11 @@ class _WidthFit:
         if self.is_bracket.any():
             self._solve_with_brackets()
 
-    def _cross_validated(self, weight: Array, unit: float) -> float:
-        """The smoothing, relative to `unit`, with the least sum of squared weighted residuals of places left out one at
-        a time, in closed form; the largest with fewer than _FEW_PLACES. Widths in one span of the spline are one place:
-        what lies between places is the test. weight (n,): 1 / sigma^2; unit: its median."""
+    def _cross_validated_smoothing(self, weight: Array, unit: float) -> float:
+        """The one of _SMOOTHINGS, relative to `unit`, with which the widths of each place are predicted best by all
+        others: with the least sum of squared weighted errors, in closed form. A place is all widths in one span of the
+        spline, as the smoothing decides what B is between places. The largest smoothing with fewer than _FEW_PLACES
+        places. weight (n,): 1 / sigma^2; unit: its median."""
         places = self.places()
         if len(places) < _FEW_PLACES:
             return float(_SMOOTHINGS[-1])
@@ -194,6 +196,7 @@ class _WidthFit:
         score = np.zeros(len(_SMOOTHINGS))
         for size in {len(place) for place in places}:
             alike = np.array([place for place in places if len(place) == size])  # (places, size)
+            # Errors of a place that is left out: (1 - H)^-1 r, H its widths' own block of the fit's hat matrix.
             spread = seen[alike] / system[:, None, None]
             within = spread @ seen[alike].transpose(0, 2, 1) * weight[alike][:, None, :]
             out = np.linalg.solve(np.eye(size) - within * (1 - _KEPT), left[:, alike, None])[..., 0]
@@ -205,7 +208,7 @@ class _WidthFit:
         return chosen
 
     def places(self) -> list[npt.NDArray[np.intp]]:
-        """Indices of the widths in each span of the spline."""
+        """Indices of the widths, a list for each span of the spline in which there are any."""
         span = np.floor((self.p - self.basis.low) / self.basis.step)
         order = np.argsort(span, kind="stable")
         return list(np.split(order, np.flatnonzero(np.diff(span[order])) + 1))
@@ -217,8 +220,9 @@ class _WidthFit:
         return inverse_of(system + ridge * np.eye(len(system)))
 
     def _solve(self, weight: Array) -> None:
-        """Sets the coefficients by penalised least squares with weight (n,), 1 / sigma^2. Inequalities that are
-        violated are added as stiff equations, until none is."""
+        """Sets `coefficients` and `gram` (the penalised normal matrix) by penalised least squares with weight (n,), 1 /
+        sigma^2, and `notes` anew. Limits of B that the solution violates are added as equations of large weight, until
+        none is violated, in at most _MOST_LIMITED rounds."""
         self.notes[:] = self.notes_of_bounds
         gram = self.design.T @ (weight[:, None] * self.design) + self.roughness * self.basis.roughness
         right = self.design.T @ (weight * self.w)
@@ -236,8 +240,8 @@ class _WidthFit:
         self.gram = gram
 
     def _violated(self, coefficients: Array) -> tuple[Array, Array]:
-        """The limits B >= 0 and |B'| <= STEEPEST where the coefficients break them near what was measured, as equations
-        rows (k, m) @ coefficients = values (k,). Notes which limit acts."""
+        """The limits B >= 0 and |B'| <= STEEPEST that the coefficients break, within a span of the measured positions,
+        as equations rows (k, m) @ coefficients = values (k,). Adds a note for each."""
         rows: list[Array] = []
         values: list[float] = []
         identity = np.eye(self.basis.size)
@@ -256,9 +260,9 @@ class _WidthFit:
         return np.array(rows).reshape(-1, self.basis.size), np.array(values)
 
     def _excess(self, weight: Array) -> float:
-        """Scatter of the widths beyond their stated sigma with which chi-square equals the degrees of freedom; 0 where
-        the stated one is enough; as before with fewer than 2 degrees of freedom. weight (n,): 1 / sigma^2 of the
-        fit."""
+        """Scatter of the widths, unit of q, that must be added to their stated sigma so that chi-square equals the
+        degrees of freedom; 0 if the stated sigma is enough. With fewer than 2 degrees of freedom the present `excess`
+        is kept. weight (n,): 1 / sigma^2 of the fit."""
         inverse = self._inverse(self.gram)
         spent = float(np.sum(np.sum((self.design @ inverse) * self.design, axis=1) * weight))
         freedom = len(self.w) - spent
@@ -276,7 +280,7 @@ class _WidthFit:
         return float(brentq(surplus, 0.0, most)) if surplus(most) < 0 else most
 
     def sigma(self, p: Array) -> Array:
-        """Standard deviation of B (k,) at positions p (k,), by the widths' weights."""
+        """Standard deviation of B (k,) at positions p (k,), by the widths' weights and the smoothing."""
         design = self.basis.design(p).toarray()
         return np.asarray(np.sqrt(np.maximum(np.sum((design @ self._inverse(self.gram)) * design, axis=1), 0.0)))
 
@@ -284,7 +288,8 @@ class _WidthFit:
 
     def _solve_with_brackets(self) -> None:
         """Fits the curve anew with brackets as intervals: the smoothing by restricted likelihood, then the curve by
-        Newton's method."""
+        Newton's method. Sets `roughness`, `coefficients` and `gram`, in which each bracket weighs as a width of its
+        sigma."""
         self.notes[:] = self.notes_of_bounds
         unit = float(np.median(self.spread**-2))
         start = np.full(self.basis.size, float(np.mean(self.w)))
@@ -296,14 +301,15 @@ class _WidthFit:
         )
 
     def _smoothing_of_brackets(self, unit: float) -> float:
-        """The smoothing, relative to `unit`, of the largest restricted likelihood, each bracket being a width at its
-        middle with a uniform density's sigma. Not by leaving some out, which would ask mostly about the outermost, of
-        which the others say little."""
+        """The one of _SMOOTHINGS, relative to `unit`, with the largest restricted likelihood, each bracket counting as
+        a width at its middle with a uniform density's sigma. (Cross-validation would judge by the outermost brackets
+        mostly, of which the others tell little.)"""
         weight = self.spread**-2
         gram, right = self.design.T @ (weight[:, None] * self.design), self.design.T @ (weight * self.w)
 
         def deviance(smoothing: float) -> float:
-            """-2 log restricted likelihood but for a constant."""
+            """-2 log restricted likelihood but for a constant. The roughness has rank size - 1: it is 0 of a constant
+            alone."""
             system = gram + smoothing * unit * self.basis.roughness
             system += _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
             explained = float(right @ np.linalg.solve(system, right))
@@ -329,12 +335,13 @@ class _WidthFit:
 
     @property
     def _tolerance(self) -> float:
-        """By how much the coefficients may still move when B from brackets counts as solved."""
+        """How far the coefficients may still move, unit of q, when B from brackets counts as solved."""
         return _CLOSE * float(np.median(self.spread))
 
     def _newton_with_brackets(self, start: Array) -> Array:
-        """Coefficients (m,) that maximise the penalised likelihood, by Newton's method with step halving, with brackets
-        whose edges sharpen step by step: it ends near the middle of what they allow."""
+        """Coefficients (m,) that maximise the penalised likelihood, by Newton's method with step halving. The brackets'
+        edges are soft at first and sharpen from round to round (_SOFTNESS), so that the curve ends near the middle of
+        what all brackets allow. start (m,): coefficients to begin with."""
         coefficients = start
         rough = self.roughness * self.basis.roughness
         ridge = 1e-10 * self.roughness * np.eye(self.basis.size)
@@ -360,10 +367,10 @@ class _WidthFit:
 
 
 def _interval_terms(a: Array, b: Array) -> tuple[Array, Array, Array]:
-    """-log(Phi(a) - Phi(b)) (n,), a >= b (n,): the distances of B above the lower and the upper edge of a bracket, over
-    its edges' softness; and its first two derivatives when both move together. Beyond _TAIL it goes on as the
-    parabola that it tends to, cost and slope to 0.1 %. Brackets narrower than a thousandth of the softness count as
-    that wide."""
+    """-log(Phi(a) - Phi(b)) (n,) and its first two derivatives by B: the cost of B in a bracket with soft edges. a, b
+    (n,), a >= b: distances of B above the lower and the upper edge, over the edges' softness. More than _TAIL beyond
+    the nearer edge the cost goes on as the parabola that it tends to, with cost and slope right to 0.1 %. Brackets
+    narrower than a thousandth of the softness count as that wide."""
     middle, half = 0.5 * (a + b), np.maximum(0.5 * (a - b), 5e-4)
     beyond = np.maximum(np.abs(middle) - half - _TAIL, 0.0)  # of the nearer edge
     # Mirrored to below both edges, where log Phi keeps its digits; the slope is turned back by middle's sign.

@@ -42,22 +42,22 @@ class Spread(Value):
         return np.asarray(np.linalg.inv(self.scale))
 
     def term(self, value: Array, slope: Array) -> Term:
-        """The Term of a curve with value (k,) at the places, slope (k, m) its derivatives by m coefficients. The t
-        density's weight (nu + k) / (nu + d^2) is held, so that it is a quadratic form."""
+        """The Term of a curve with value (k,) at the places and derivatives slope (k, m) by its m coefficients. The t
+        density's weight (nu + k) / (nu + d^2) is held, so that matrix and gradient are those of a quadratic form."""
         off = value - self.mean
         pulled = self.precision @ off
-        far = float(off @ pulled)
+        distance2 = float(off @ pulled)
         size = len(self.q)
-        weight = (self.freedom + size) / (self.freedom + far)
-        told = (self.freedom + size) * float(np.log1p(far / self.freedom))
-        return weight * (slope.T @ self.precision @ slope), weight * (slope.T @ pulled), told
+        weight = (self.freedom + size) / (self.freedom + distance2)
+        deviance = (self.freedom + size) * float(np.log1p(distance2 / self.freedom))
+        return weight * (slope.T @ self.precision @ slope), weight * (slope.T @ pulled), deviance
 
-    def has(self, value: Array, noise: Array) -> bool:
-        """Whether a curve of value (k,) at the places, with errors of covariance noise (k, k), may be one more draw:
-        its distance is exceeded by more than _SELDOM of draws (F distribution)."""
+    def may_contain(self, value: Array, noise: Array) -> bool:
+        """Whether a curve with value (k,) at the places, known with errors of covariance noise (k, k), may be one more
+        draw from this distribution: more than the share _SELDOM of draws are farther from its mean (F distribution)."""
         off = value - self.mean
-        far, size = float(off @ np.linalg.solve(self.scale + noise, off)), len(self.q)
-        return bool(fdtrc(size, self.freedom, far / size) > _SELDOM)
+        distance2, size = float(off @ np.linalg.solve(self.scale + noise, off)), len(self.q)
+        return bool(fdtrc(size, self.freedom, distance2 / size) > _SELDOM)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,19 +73,20 @@ class Beforehand(Value):
         return np.asarray(np.exp(np.interp(q, self.width.q, self.width.mean)))
 
     def of_width(self, basis: Basis, coefficients: Array) -> Term:
-        """The Term of log B by a spline's coefficients (m,); B counts as _LEAST of the usual one at least."""
+        """The Term of a B with spline coefficients (m,), whose logarithm has the prior `width`. Where B is less than
+        the share _LEAST of the usual one it counts as that, as it has no logarithm at 0."""
         design = basis.design(self.width.q).toarray()
         width = np.maximum(design @ coefficients, _LEAST * np.exp(self.width.mean))
         return self.width.term(np.log(width), design / width[:, None])
 
     def of_path(self, basis: Basis, coefficients: Array) -> list[Term]:
-        """The Term of each channel of a path by its spline coefficients (m, channels), as many as are known."""
+        """The Term of each channel of a path with spline coefficients (m, channels); as many channels as `path` has."""
         designs = [basis.design(each.q).toarray() for each in self.path]
         seen = zip(self.path, designs, coefficients.T, strict=True)
         return [each.term(design @ own, design) for each, design, own in seen]
 
     def of_delay(self, delay_s: float) -> Term:
-        """The Term of the delay, matrix (1, 1) and gradient (1,); of nothing where it is not known."""
+        """The Term of the delay, matrix (1, 1) and gradient (1,); zeros if nothing is known of it."""
         if self.delay is None:
             return np.zeros((1, 1)), np.zeros(1), 0.0
         return self.delay.term(np.array([delay_s]), np.eye(1))
@@ -93,9 +94,9 @@ class Beforehand(Value):
 
 @lru_cache(maxsize=8)
 def free_bending(basis: Basis, q: tuple[float, ...]) -> tuple[Array, int]:
-    """Penalty (size, size) on the bending of a curve beyond that of the least bent one with the same values at places
-    q, and its rank: K F (F' K F)^-1 F' K, K the spline's bending matrix, F (size, rank) the coefficients that are 0 at
-    all places. The values there have a prior of their own."""
+    """Penalty (size, size) on that part of a curve's bending that its values at places q do not need: 0 for the least
+    bent curve through them, as the values have a prior of their own. And the penalty's rank. It is K F (F' K F)^-1 F'
+    K, where K is the spline's bending matrix and F (size, rank) spans the coefficients that are 0 at all places."""
     free = null_space(basis.design(np.array(q)).toarray())
     pulled = basis.bending @ free
     return np.asarray(pulled @ np.linalg.solve(free.T @ pulled, pulled.T)), free.shape[1]

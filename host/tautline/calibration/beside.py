@@ -1,9 +1,8 @@
-"""Effects of the library that are fitted together with B, path and delay: what was there from the first recording on.
+"""Effects of the library that were there from the first recording on, fitted together with B, path and delay.
 
-They move the tip's place along the curve that it follows, so the same values hold in a fit without poses and in one
-with them. What adds to the bending angle (a load's gain, another joint) moves that place by as much as the law
-f_remain, as it was known before, makes of the angle. With all amplitudes at zero the fit is the one without effects.
-"""
+Effects move the tip's place along the curve that it follows, so the same values hold in fits with poses and without. An
+effect that adds to the bending angle (a load's gain, another joint) moves that place by as much as the law f_remain,
+known from an earlier fit, needs for the angle. With all amplitudes at zero the fit is the one without effects."""
 
 from __future__ import annotations
 
@@ -44,8 +43,9 @@ class FittedEffects:
 
     @classmethod
     def of(cls, found: Sequence[Effect], law: Model, others_rest: bool = False) -> tuple[Self, Array]:
-        """Those of the effects `found` that can be fitted, and their values (m,) to begin with. law: f_remain, as far
-        as it is known. others_rest: other axes rest at all frames that count, so that parameters of effects that follow
+        """Those of the effects `found` that can be fitted, and their values (m,) to begin with: the numbers that they
+        have, else 0 for an amplitude and its first typical value for a shape. law: f_remain, as it is known so far.
+        others_rest: translation and rotation rest at all frames that count, so that parameters of effects that follow
         these axes are held."""
         known = [effect for effect in found if effect.id in FITTED]
         kinds = tuple(effects.kind_of(effect) for effect in known)
@@ -60,14 +60,14 @@ class FittedEffects:
 
     @property
     def forms(self) -> tuple[Self, ...]:
-        """This, and for each held parameter with two possible values one more with the other value."""
+        """This, and for each held parameter with two possible values one more in which it has the other value."""
         twofold = [p for kind in self.kinds for p in kind.parameters if p.name in self.held and len(p.shape) == 2]
-        others = ((p.name, sum(p.shape) - self.held[p.name]) for p in twofold)
+        others = ((p.name, sum(p.shape) - self.held[p.name]) for p in twofold)  # the sum of both less this one
         return self, *(replace(self, held={**self.held, name: other}) for name, other in others)
 
     @property
     def bends(self) -> bool:
-        """Whether any of them adds to the bending angle, not to the play's centre."""
+        """Whether any of the effects adds to the bending angle, beside those that move the play's centre."""
         return any(kind.bends for kind in self.kinds)
 
     @property
@@ -85,9 +85,9 @@ class FittedEffects:
 
     @property
     def precision(self) -> Array:
-        """(m,) what is added to the normal matrix for each value, in units of the residuals' variance: a step's prior
-        has a standard deviation of _FAR scales. It is about the present value, so that it holds a step that no frame
-        tells and pulls no value towards 0."""
+        """(m,) what is added to the normal matrix's diagonal for each value, in units of the residuals' variance: 1 /
+        sigma^2 with sigma _FAR scales. It is the prior of a step from the present value, not of the value: it keeps a
+        value that no frame tells where it is, and pulls none towards 0."""
         return np.asarray((_FAR * self.scales) ** -2.0)
 
     def inside(self, values: Array) -> Array:
@@ -95,54 +95,60 @@ class FittedEffects:
         span = self.law.rig.actuator.span
         return np.array([p.inside(value, span) for p, value in zip(self.parameters, values.tolist(), strict=True)])
 
-    def ended(self, values: Array) -> bool:
-        """Whether any value (m,) is at an end of its range other than 0: the effect is a limit of its law there, a
-        simpler one."""
+    def any_at_end(self, values: Array) -> bool:
+        """Whether any of the values (m,) is at an end of its range other than 0. Then the effect is the limit of its
+        law there, which is a simpler law."""
         span = self.law.rig.actuator.span
         own = zip(values.tolist(), (p.limits(span) for p in self.parameters), strict=True)
         return any(value != 0.0 and (value <= low or value >= high) for value, (low, high) in own)
 
     def amplitudes(self, values: Array, of: Kind | None = None) -> Array:
-        """(m,) the values with all but amplitudes set to 0; of one effect, or of all."""
+        """(m,) the values with all but amplitudes set to 0. of: keeps the amplitudes of this effect only; of all by
+        default."""
         own = {p.name for kind in self.kinds for p in kind.amplitudes if of in (None, kind)}
         return np.where([p.name in own for p in self.parameters], values, 0.0)
 
     def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:
-        """Indices of values (m,) that are at an end of their range beyond which the direction `towards` (m,) leads."""
+        """Indices of those values (m,) that are at an end of their range and would leave it in the direction `towards`
+        (m,), of which only the sign counts."""
         onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)
         return np.flatnonzero(onward == values)
 
-    def _named(self, values: Array) -> dict[str, Any]:
-        """All parameters by name, held ones and columns of the recording that effects follow included."""
+    def _parameters_by_name(self, values: Array) -> dict[str, Any]:
+        """All parameters of the effects by name: the fitted ones with values (m,), the held ones, and the columns of
+        motor.csv that effects follow."""
         fitted = zip((p.name for p in self.parameters), values.tolist(), strict=True)
         followed = [(COLUMN, kind.column) for kind in self.kinds if kind.column]
         return {**dict(fitted), **self.held, **dict(followed)}
 
     def to_effects(self, values: Array) -> tuple[Effect, ...]:
         """The effects with values (m,), as a model carries them."""
-        named = self._named(values)
+        named = self._parameters_by_name(values)
         return tuple(kind.of_values(named) for kind in self.kinds)
 
     def follow(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
     ) -> effects.Path:
-        """The simulated path at times at_s (n,), s, of a motor log, with B width (grid,) on the grid and effects of
-        values (m,). Its `tip` is the position along f_remain that shows the path's bending angle, so what adds to the
-        angle moves it. The motor's log is taken as predictions take it: the speed of positions between counts would be
-        rough."""
+        """Simulates the tip at times at_s (n,), s, of a motor's log, with B width (grid,) on the grid, the hysteresis
+        and effects of values (m,). The path's `tip` is the position along f_remain that has the path's bending angle,
+        so that what adds to the angle moves the tip, too. The log is turned into straight lines first, as in
+        predictions, since the speed of readings between an encoder's counts would be rough."""
         plays = {"elements": hysteresis} if isinstance(hysteresis, Elements) else {"friction": hysteresis}
         law, rig = self.law.remaining(grid), self.law.rig
         model = Model(rig, grid, width, np.zeros_like(grid), law, 0.0, (grid[0], grid[-1]), **plays)
         lines = straight_lines(motor, rig.actuator.encoder_resolution)
-        path = effects.follow(model, lines, at_s, self._named(values), load_reference=self.law.load_reference_mNm)
+        path = effects.follow(
+            model, lines, at_s, self._parameters_by_name(values), load_reference=self.law.load_reference_mNm
+        )
+        # What the effects add to the bending angle, as a way along f_remain, unit of q.
         bent = model.remaining_inverse(path.c_deg) - model.remaining_inverse(model.remaining(path.tip))
         return replace(path, tip=path.tip + bent)
 
     def slopes(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
     ) -> tuple[Array, Array, Array]:
-        """Derivatives of the tip's place, unit of q, by central differences: (n,) by B, wider by the same everywhere,
-        with what follows the play; (n, m) by each value; (n,) by the delay, per s. Arguments as of `follow`."""
+        """Derivatives of the tip's place, unit of q, by differences of `follow`, whose arguments these are: (n,) by B
+        if it is wider by the same everywhere; (n, m) by each value; (n,) by the delay, per s."""
 
         def tip(times: Array, there: Array, wider: float = 0.0) -> Array:
             """The tip's place (n,), unit of q, at these times and values; B is wider everywhere by `wider`, unit of

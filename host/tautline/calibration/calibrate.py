@@ -36,9 +36,9 @@ def calibrate(
     progress: Progress | None = None,
     naming: bool = True,
 ) -> Calibration:
-    """Measures B(q), f_remain and the delay from recordings of any motion. naming: what departs gets the name that a
-    diagnosis gives it, for as much time again. Raises TautError where nothing can be measured; says in notes and
-    warnings what could not."""
+    """Measures B(q), f_remain and the delay from recordings of any motion. progress: is told a share, 0 to 1, and what
+    is done. naming: also names what departs, as a diagnosis does, for as much time again. Raises TautError if nothing
+    can be measured; what else could not be measured is said in notes and reasons of the result."""
     options, recordings = options or Options(), Session(recordings).in_time()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
@@ -52,10 +52,10 @@ def calibrate(
     if frames < _LEAST_FRAMES:
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.AlignedTracks.as_it_is(tracks)
-        on_clock, offsets_s = aligned.among(every)
+        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.AlignedTracks.without_offsets(tracks)
+        on_clock, offsets_s = aligned.merged_into(every)
         reasons = rig_contradictions(recordings, on_clock, offsets_s, rig)
-        aligned = aligned.seen
+        aligned = aligned.with_frames
         if not aligned.tracks:
             raise TautError("the tip was seen only where the motor steps: move it at a speed, with the tip in view")
         measured = Measuring(aligned, rig, options, say, reasons).run()
@@ -77,16 +77,17 @@ def calibrate(
 def _aligned_for_naming(
     tracks: Sequence[Track], rig: Rig, aligned: clock.AlignedTracks, found: Calibration
 ) -> tuple[clock.AlignedTracks, Mapping[str, float]]:
-    """The aligned tracks and the sensors' offsets, s by recording, with which an effect is named. A recording whose
-    image stops later than another's is not put on another clock here, since an effect makes it stop later, too."""
-    own = clock.align(tracks, rig, same_delay_for_all=False).seen if found.offsets else aligned
+    """The aligned tracks, and the sensors' offsets, s by recording, with which effects are named. Differences of delay
+    between the recordings are not taken for clocks that differ here (same_delay_for_all is False): an effect also makes
+    the image of one recording stop later than another's. found: the calibration without effects."""
+    own = clock.align(tracks, rig, same_delay_for_all=False).with_frames if found.offsets else aligned
     return (own, own.offsets) if own.offsets != aligned.offsets else (aligned, found.offsets)
 
 
 def _worth_naming(measured: Measured, found: Calibration) -> bool:
-    """Whether a diagnosis is asked for the effect that departs. Of the usable calibrations it is for each that does not
-    predict blocks left out; for one that does, where something departs, or an effect may have been there while
-    calibrating (`start.concerns`), and a diagnosis weighs all that departs."""
+    """Whether a diagnosis is run to name the effect that departs. Never for an unusable calibration, and always for one
+    that does not predict the blocks left out. For one that does, only if something departs, or an effect may have been
+    there while calibrating (`start.concerns`), and a diagnosis can weigh all departures."""
     reasons = found.model.quality.reasons
     if not found.model.quality.usable:
         return False
@@ -96,7 +97,7 @@ def _worth_naming(measured: Measured, found: Calibration) -> bool:
 
 
 def _predicts(found: Calibration) -> bool:
-    """Whether blocks left out are predicted to within PREDICTS times the noise; no where none were left out."""
+    """Whether the blocks left out are predicted to within PREDICTS times the noise; False if none were left out."""
     return found.evidence.get("foretold_over_noise", np.inf) <= PREDICTS
 
 
@@ -108,17 +109,18 @@ def _predicts_better(with_effects: Calibration, found: Calibration) -> bool:
 
 
 def _fits_like_components(with_effects: Calibration, found: Calibration) -> bool:
-    """Whether the fit with effects leaves at most PREDICTS times the rms residual that the components leave, which
-    follow no law of an effect; no where there are none."""
+    """Whether the fit with effects leaves at most PREDICTS times the rms residual of the fit with components, which
+    follow no law of an effect; False without components."""
     return with_effects.evidence.get("residual_joint", np.inf) <= PREDICTS * found.evidence.get(
         "residual_components", 0.0
     )
 
 
 def _with_effects(found: Calibration, told: start.Start, with_effects: Calibration | None) -> Calibration:
-    """The calibration whose model carries the effects that were named (told), if it predicts blocks left out better
-    than the one without (found); else that one with the names among its reasons. If something departs that a diagnosis
-    does not weigh, the names count only where the fit with the effects is about as close as the components."""
+    """The calibration to return, of three: the one whose model carries the named effects, if it predicts the blocks
+    left out better than `found`, which has none; else `found` with the effects' names among its reasons; or `found` as
+    it is, if something departs that a diagnosis does not weigh. In that case the effects count only if the fit with
+    them is about as close as the components. told: the diagnosis; with_effects: None if effects could not be fitted."""
     reasons = found.model.quality.reasons
     unweighed = effect_names.has_unweighed(reasons)
     better = with_effects is not None and _predicts_better(with_effects, found)

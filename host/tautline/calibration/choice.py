@@ -47,7 +47,7 @@ _FAR = 2.0  # prior: times _AGREE: passes that are farther from the onsets contr
 
 
 def image_jumps(onsets: Sequence[Onset]) -> bool:
-    """Whether the image jumps at most onsets, which no joint fit contains: most of their widths are brackets."""
+    """Whether most onsets' widths are brackets: the image jumps at them, which no joint fit contains."""
     widths = with_width(onsets)
     return 2 * sum(o.kind == BRACKET for o in widths) > len(widths)
 
@@ -72,10 +72,10 @@ class Choice:
         like_paper: bool,
         gradual: bool,
     ) -> tuple[Array, Array, str]:
-        """B, its sigma and its source (ONSETS, JOINT, PASSES or NOTHING): the joint fit's (`_by_joint_fit`); without
-        one the onsets' curve; 0 where neither tells B. A joint fit without onsets counts only if the tip passed the
-        same positions both ways. like_paper: the paper's spline through the onsets, if there are any. gradual: the tip
-        starts gradually."""
+        """B, its sigma and its source (ONSETS, JOINT, PASSES or NOTHING). B is the joint fit's (`_by_joint_fit`);
+        without one the onsets' curve; without either 0, with a fatal doubt. A joint fit without onsets counts only if
+        the tip passed the same positions both ways. like_paper: use the paper's spline through the onsets, if there are
+        any. gradual: the tip starts gradually. Notes and doubts are added to `findings`."""
         if like_paper:
             paper = fit_paper(onsets, self.grid)
             if paper is not None:
@@ -106,10 +106,10 @@ class Choice:
         *,
         gradual: bool,
     ) -> tuple[Array, Array, str]:
-        """B, its sigma and its source where there is a joint fit: its own without onsets, and for several elements, of
-        which an onset shows the first; the onsets', filled in by the passes, where the image jumps; else its own, or
-        the mean of both where onsets are surer and the mean predicts what was seen. gradual: onsets show the first
-        motion of a gradual start, and are not averaged into B."""
+        """B, its sigma and its source where there is a joint fit. Its own B without onsets, and with several elements,
+        as an onset shows the first of them only. The onsets' curve, filled in by the passes, where the image jumps.
+        Else its own, or its mean with the onsets' curve (`_combined`), if that leaves little more. gradual: onsets show
+        the first motion of a gradual start, and are not averaged into B."""
         width = self.held_beyond_measured(joint_fit, curve)
         sigma = joint_fit.width_sigma(self.grid)
         if curve is None:
@@ -127,14 +127,14 @@ class Choice:
         if passes is not None and not joint_fit.explained and float(np.mean(z**2)) > _AGREE:
             self._notice_gradual_start(widths, passes)
         both = None if gradual else self._combined(curve, width, sigma)
-        if both is not None and self._tolerates(joint_fit, width, both[0]):
+        if both is not None and self._mean_is_bearable(joint_fit, width, both[0]):
             width, sigma = both
         return width, sigma, JOINT
 
     def _combined(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array] | None:
-        """The mean of the joint fit's B `width` and the onsets' curve, weighted by 1 / sigma^2, and its sigma, where
-        model errors leave the joint fit _SURER times less certain of B than the onsets, which depend on no model; None
-        where they do not."""
+        """The mean, weighted by 1 / sigma^2, of the joint fit's B `width` and of the onsets' curve, and its sigma. None
+        unless the joint fit's sigma is at least _SURER times that of the onsets: model errors make it so uncertain,
+        while onsets depend on no model."""
         inside = (self.grid > curve.measured[0]) & (self.grid < curve.measured[1])
         theirs = np.hypot(curve.sigma, curve.excess / np.sqrt(curve.places))  # a place errs alike every time
         if not inside.any() or np.median(sigma[inside]) < _SURER * np.median(theirs[inside]):
@@ -143,9 +143,9 @@ class Choice:
         both = (own * width + other * curve.width) / (own + other)
         return allowed_width(self.grid, both), (own + other) ** -0.5
 
-    def _tolerates(self, joint_fit: Fitted, width: Array, both: Array) -> bool:
-        """Whether B may be `both` (grid,) instead of the joint fit's `width`: if that does not predict well itself, and
-        `both` does not leave far more."""
+    def _mean_is_bearable(self, joint_fit: Fitted, width: Array, both: Array) -> bool:
+        """Whether the mean `both` (grid,) may take the place of the joint fit's B `width` (grid,): `width` leaves more
+        than noise itself, and `both` less than _BEARABLE times as much."""
         own = self.residual_with_width(joint_fit, width)
         return own > EXPLAINED and self.residual_with_width(joint_fit, both) < _BEARABLE * own
 
@@ -158,8 +158,9 @@ class Choice:
         joint_fit: Fitted,
     ) -> bool:
         """Whether the onsets, which depend on no model, clearly agree with the B that was estimated together with the
-        departures (apart) and not with the one without (joint_fit), by mean squared z. No where onsets are few, or the
-        strongest departure is a gradual start, of which onsets show the first motion only."""
+        departures (apart) and not with the one without (joint_fit), by mean squared z. False if onsets are few, if
+        there are several elements, or if the strongest departure is a gradual start, of which onsets show the first
+        motion only."""
         widths = with_width(onsets)
         if (
             curve is None
@@ -174,31 +175,32 @@ class Choice:
         return far > _AGREE and near < _NEARER * far
 
     def residual_without_departures(self, components: Components, apart: Fitted, joint_fit: Fitted) -> float:
-        """Residual over noise of B and delay as estimated with the departures, but with these taken out again: how well
-        the model that is handed out, which does not contain them, predicts."""
+        """Residual over noise that B and delay as estimated with the departures leave when the departures are taken out
+        again: how well the model that is handed out predicts, as it does not contain them."""
         return self._residual_with_curves(apart, components.session_mean) if components.parts else joint_fit.scale
 
     @staticmethod
     def predicts_as_well(residual: float, joint_fit: Fitted) -> bool:
-        """Whether a B that leaves this residual over noise predicts what was seen about as well as the best-fitting
-        one: departures that take B far from that one stand for something else."""
+        """Whether a B that leaves `residual` (over noise) predicts what was seen about as well as the joint fit's,
+        which leaves the least. If it does not, the departures that moved B there stand for something else."""
         return residual < _WORSE * max(joint_fit.scale, 1.0)
 
     def sigma_where_passed_one_way(self, joint_fit: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
-        """(grid,) further standard deviation of B where the tip passed one way only: the distance to the nearest place
-        that it passed both ways, beyond HOLE, times _STEEPER of the rms slope of B elsewhere, SLOPE_UNTOLD without such
-        (or _BENDS typical widths over the range, if that is more). 0 elsewhere, and everywhere if B was known
-        beforehand, since its prior covers that. inside (grid,): where B was measured."""
+        """(grid,) standard deviation, unit of q, to be added to B's in a hole: where no frame of one direction is
+        within HOLE of the range. It is the distance beyond that, times a slope: _STEEPER times the rms slope of B
+        elsewhere (SLOPE_UNTOLD if there is no elsewhere), or _BENDS typical widths over the range if that is more. 0
+        outside of holes; 0 everywhere if one direction has no frame, or if B was known beforehand, as its prior covers
+        this. inside (grid,): where B was measured. A hole is noticed in `findings`."""
         if joint_fit.fit.beforehand is not None:
             return np.zeros(len(self.grid))
-        apart = distance_to_both_ways(joint_fit, self.grid)
-        if not np.isfinite(apart).all():
+        distance = distance_to_both_ways(joint_fit, self.grid)
+        if not np.isfinite(distance).all():
             return np.zeros(len(self.grid))
-        gap = np.maximum(apart - HOLE * self.domain.span, 0.0)
+        gap = np.maximum(distance - HOLE * self.domain.span, 0.0)
         holes = inside & (gap > 0)
         if not holes.any():
             return np.zeros(len(self.grid))
-        steep = (
+        usual_slope = (
             float(np.sqrt(np.mean(np.gradient(width, self.grid)[inside & ~holes] ** 2)))
             if (inside & ~holes).any()
             else SLOPE_UNTOLD
@@ -210,12 +212,12 @@ class Choice:
             "move through all of the range both ways",
         )
         return np.where(
-            inside, max(_STEEPER * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
+            inside, max(_STEEPER * usual_slope, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
         )
 
-    def measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
-        """The lowest and highest position at which B was measured: of onsets; where none or one place showed any, of
-        the counted frames if B is from them; else the range's middle, twice."""
+    def measured_range(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
+        """The lowest and highest position at which B was measured: of the onsets; if these are at one place or none, of
+        the counted frames, where B is the joint fit's or the passes'; else the middle of the range, twice."""
         if curve is not None and (source == ONSETS or curve.measured[0] < curve.measured[1]):
             return curve.measured
         if joint_fit is not None and source in (JOINT, PASSES):
@@ -227,8 +229,9 @@ class Choice:
     def opinion_of_passes(
         self, onsets: Sequence[Onset], curve: WidthCurve | None, passes: Fitted | None
     ) -> tuple[Array | None, Array | None]:
-        """B and its sigma from the passes alone, NaN where the ways up and down do not overlap; None of each where they
-        nowhere do. The onsets are compared with it."""
+        """B (grid,) and its sigma from the passes alone, NaN where the ways up and down do not overlap; (None, None) if
+        they overlap nowhere or there are no passes. Two onsets or more are compared with it
+        (`_compare_with_passes`)."""
         if passes is None:
             return None, None
         low, high = overlap(passes)
@@ -242,8 +245,8 @@ class Choice:
         return np.where(told, width, np.nan), np.where(told, sigma, np.nan)
 
     def _compare_with_passes(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> None:
-        """Puts by how much onsets differ from the passes' B `width` with sigma, (grid,) each, into the evidence, and
-        into the findings where the image jumps and the difference is clear (_FAR, _LITTLE)."""
+        """Adds to the evidence by how much the onsets' widths differ from the passes' B `width` with sigma, (grid,)
+        each; and notices a dependence on direction if the image jumps and the difference is clear (_FAR, _LITTLE)."""
         p = np.array([o.q_mean for o in widths])
         difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
         z = self._z_scores(widths, curve, width, sigma)
@@ -261,34 +264,36 @@ class Choice:
             )
 
     def tip_moves(self) -> bool:
-        """Whether the tip was seen to move by more than noise."""
+        """Whether a coordinate of the image or angle ranges over more than _STANDS_OUT times the noise."""
         return any((np.ptp(track.y, axis=0) > _STANDS_OUT * np.median(track.sigma)).any() for track in self.tracks)
 
     def _late_one_way_only(self, widths: Sequence[Onset], joint_fit: Fitted, curve: WidthCurve) -> bool:
         """Whether onsets are wider than the joint fit's B after turns one way only, and their B predicts what was seen
-        worse: then the tip starts late that way but ends on the same envelope, and the joint fit is right. Onsets that
-        are off both ways alike mean an image that jumps."""
+        worse. Then the tip starts late that way but ends on the same envelope, and the joint fit is right. (Onsets that
+        are wider both ways mean an image that jumps.) False with fewer than half of _FEW_ONSETS onsets one way. Adds
+        the residual with the onsets' B to the evidence."""
         at, up = np.array([o.q_mean for o in widths]), np.array([o.direction > 0 for o in widths])
         if min(up.sum(), (~up).sum()) < _FEW_ONSETS // 2:
             return False
-        late = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint_fit.fit.width(joint_fit.curves))
-        near, far = sorted((late[up], late[~up]), key=lambda way: abs(way.mean()))
-        clear = max(_ONE_WAY * far.std() / np.sqrt(len(far)), _LITTLE * float(np.median(curve.width)))
-        if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
+        excess = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint_fit.fit.width(joint_fit.curves))
+        less, more = sorted((excess[up], excess[~up]), key=lambda way: abs(way.mean()))
+        clear = max(_ONE_WAY * more.std() / np.sqrt(len(more)), _LITTLE * float(np.median(curve.width)))
+        if more.mean() < clear or abs(less.mean()) > _OTHER_WAY * more.mean():
             return False
-        rest = self.residual_with_width(joint_fit, curve.width)
-        self.findings.evidence["residual_with_onsets"] = rest
-        return not self.predicts_as_well(rest, joint_fit)
+        residual = self.residual_with_width(joint_fit, curve.width)
+        self.findings.evidence["residual_with_onsets"] = residual
+        return not self.predicts_as_well(residual, joint_fit)
 
     def residual_with_width(self, joint_fit: Fitted, width: Array) -> float:
-        """Residual over noise with B held at width (grid,) and the joint fit's delay, the path fitted anew."""
+        """Residual over noise with B held at width (grid,) and the delay at the joint fit's; only the path is fitted
+        anew."""
         backlash = joint_fit.fit.backlash.nearest(self.grid, width)
         return self._residual_with_curves(joint_fit, replace(joint_fit.curves, backlash=backlash))
 
     @staticmethod
     def _residual_with_curves(fitted: Fitted, curves: Curves) -> float:
-        """Residual over noise with B and delay held at these, the path fitted anew, smoothing as it was; outliers
-        cut as for the fit's own scale."""
+        """Residual over noise with B and delay held at those of `curves` and the path fitted anew. The smoothing stays,
+        and outliers are cut as for the fit's own scale."""
         smoothing = dict(fitted.fit.smoothing)
         alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
         point = alone.descended(curves, _STEPS, adapt=False)
@@ -297,9 +302,9 @@ class Choice:
         return rms_over_noise(replace(alone.fitted(point), scale=fitted.scale))
 
     def held_beyond_measured(self, joint_fit: Fitted, curve: WidthCurve | None) -> Array:
-        """The joint fit's B (grid,), constant beyond the positions that passes both ways or onsets reached: what the
-        frames show there could be f_remain as well. As it is if B was known beforehand, or for several elements, some
-        of which turn nowhere else."""
+        """The joint fit's B (grid,), held constant beyond the positions that passes both ways or onsets reached: what
+        frames show beyond could be f_remain as well. Not held if B was known beforehand, or with several elements, some
+        of which turn only there."""
         if not joint_fit.fit.hysteresis.single or joint_fit.fit.beforehand is not None:
             return joint_fit.fit.width(joint_fit.curves)
         low, high = overlap(joint_fit)
@@ -316,11 +321,13 @@ class Choice:
         return low < high and self.tip_moves()
 
     def _notice_gradual_start(self, widths: Sequence[Onset], passes: Fitted) -> None:
-        """Notices a slope of the image just after the onsets that is less, in the median, than _AT_ONCE of the passes'
-        path slope there: then an onset is where a gradual start begins, not the play's width."""
+        """Adds to the evidence the ratio of two slopes of the image by q, in the median over the onsets: just after the
+        onset, and of the passes' path there. Notices a gradual start if it is at most _AT_ONCE: an onset is where the
+        gradual start begins then, and not the play's width."""
         p = np.array([o.q_mean for o in widths])
         path = passes.fit.follow.slope(passes.curves.follow, p)
         turn = 0.5 * np.array([o.direction for o in widths]) * passes.fit.backlash.slope(passes.curves.backlash, p)
+        # dp/dq on an envelope is 1 / (1 + direction B'/2), so the image's usual slope by q is this.
         usual = np.linalg.norm(path.reshape(len(p), -1), axis=1) / (1.0 + turn)
         ratio = float(np.median(np.array([o.slope for o in widths]) / np.maximum(usual, 1e-12)))
         self.findings.evidence["start_over_path_slope"] = ratio
@@ -347,9 +354,9 @@ class Choice:
     def _onsets_filled_by_passes(
         self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None
     ) -> tuple[Array, Array, str]:
-        """B, its sigma and its source: the onsets' curve near onsets, and the passes' B farther off, shifted to meet
-        that curve. The shift is the image's jump, which differs from place to place: by its standard deviation where
-        onsets tell it, which is in sigma."""
+        """B, its sigma and its source (ONSETS): the onsets' curve near onsets; between them, where they are far apart,
+        the passes' B, shifted to meet that curve. The shift is the image's jump, which differs from place to place; its
+        scatter near onsets is added to sigma."""
         p = np.sort([o.q_mean for o in widths])
         # How far from an onset its curve counts alone: at least to the nearest place of the grid.
         between = _BETWEEN * float(np.median(np.diff(p))) if len(p) > 2 else 0.0
@@ -360,9 +367,9 @@ class Choice:
             return curve.width, curve.sigma, ONSETS
         own = passes.fit.width(passes.curves)
         near = far == 0.0
-        apart = (curve.width - own)[near]
-        shifted = own + np.interp(self.grid, self.grid[near], apart)
-        sigma_of_shift = np.interp(self.grid, self.grid[near], np.hypot(curve.sigma[near], float(np.std(apart))))
+        shift = (curve.width - own)[near]
+        shifted = own + np.interp(self.grid, self.grid[near], shift)
+        sigma_of_shift = np.interp(self.grid, self.grid[near], np.hypot(curve.sigma[near], float(np.std(shift))))
         share = far * far * (3 - 2 * far)  # without a corner at either end
         inside = (self.grid >= p[0]) & (self.grid <= p[-1])
         share = np.where(inside, share, 0.0)

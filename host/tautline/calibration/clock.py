@@ -1,10 +1,9 @@
-"""The sensor's clock against the motor's, before anything else is measured: by how much its times are late, from the
-data alone.
+"""The sensor's clock against the motor's: by how much the sensor's times are late, found from the data alone before
+anything else is measured.
 
-A lag is by how much the sensor's times are later than the motor's, s. It is the sum of a delay, which is near the
-nominal one, and of a clock's offset; lag_scan.py has the misfit at each. Delays are refined by the image's stops
-(onset.py), or of an angle sensor by a smooth B and path (angle_delay.py).
-"""
+A lag is by how much the sensor's times are later than the motor's, s. It is the sum of the sensor's delay, which is
+near the nominal one, and of the offset of its clock. lag_scan.py has the misfit at each lag. Delays are refined by the
+image's stops (onset.py) or, for an angle sensor, by a smooth B and path (angle_delay.py)."""
 
 from __future__ import annotations
 
@@ -65,37 +64,39 @@ class AlignedTracks:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def as_it_is(cls, tracks: Sequence[Track]) -> AlignedTracks:
-        """The tracks as they are: no clock is off."""
+    def without_offsets(cls, tracks: Sequence[Track]) -> AlignedTracks:
+        """The tracks with their times unchanged: every offset is 0."""
         return cls(list(tracks), (0.0,) * len(tracks), ())
 
     @property
     def offset_s(self) -> float | None:
-        """The offset, s, that is farthest from 0; None where no clock was off."""
+        """The offset, s, with the largest absolute value; None if no clock was off."""
         return max(self.offsets_s, key=abs, default=0.0) or None
 
     @property
     def offsets(self) -> dict[str, float]:
-        """The offsets that are not 0, s, by recording."""
+        """The offsets that are not 0, s, by the recordings' names."""
         pairs = zip(self.tracks, self.offsets_s, strict=True)
         return {track.name: offset for track, offset in pairs if offset}
 
-    def among(self, every: Sequence[Track]) -> tuple[list[Track], list[float]]:
-        """`every` track and the offset of its clock, s, where these are those of them that have frames: the others are
-        as they were, with 0."""
+    def merged_into(self, every: Sequence[Track]) -> tuple[list[Track], list[float]]:
+        """`every` track with the offset of its clock, s. These aligned tracks are those of `every` that have frames, in
+        the same order, and take their places; a track without frames stays, with offset 0."""
         own = iter(zip(self.tracks, self.offsets_s, strict=True))
         pairs = [next(own) if len(track.t_s) else (track, 0.0) for track in every]
         return [track for track, _ in pairs], [offset_s for _, offset_s in pairs]
 
     @property
-    def seen(self) -> AlignedTracks:
-        """These without the tracks of which no frame was left: the tip followed a step of the motor in all."""
+    def with_frames(self) -> AlignedTracks:
+        """The same without tracks of which no frame was left, as the tip followed a step of the motor in all of
+        them."""
         kept = [pair for pair in zip(self.tracks, self.offsets_s, strict=True) if len(pair[0].t_s)]
         return replace(self, tracks=[track for track, _ in kept], offsets_s=tuple(offset_s for _, offset_s in kept))
 
     def with_delay(self, delay: Delay, nominal_s: float) -> tuple[AlignedTracks, Delay]:
         """These tracks and a delay that was found on them. If every clock was off, delay and offsets cannot be told
-        apart: the delay is set to the nominal one then, and the offsets take the difference."""
+        apart: then the delay is set to the nominal one, and the difference is added to the offsets. (The tracks' times
+        stay.)"""
         if not self.offsets_s or not all(self.offsets_s):
             return self, delay
         offsets = tuple(offset + delay.delay_s - nominal_s for offset in self.offsets_s)
@@ -103,14 +104,14 @@ class AlignedTracks:
 
 
 def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool = False) -> list[Recording]:
-    """Recordings with the offsets of their sensors' clocks taken off. Differences between recordings that are no larger
-    than a delay may be are left: an effect that is not known yet may make one motion's stops later than another's.
-    one_clock: whether the session's calibration had sensor and motor on one clock; a lag of up to _NEAR_S is then
-    sooner an effect's than another clock's, and left too."""
+    """Recordings with the offsets of their sensors' clocks taken off. A lag that is no larger than a delay may be is
+    not taken off: an effect that is not known yet may make one motion's stops later than another's. one_clock: the
+    session's calibration had sensor and motor on one clock; then a lag of up to _NEAR_S is sooner an effect's than
+    another clock's, and is not taken off either."""
     every, reach_s = observe(recordings, rig), _NEAR_S if one_clock else DELAY_REACH_S
     seen = [track for track in every if len(track.t_s)]
     aligned = align(seen, rig, same_delay_for_all=False, reach_s=reach_s)
-    _, offsets_s = aligned.among(every)
+    _, offsets_s = aligned.merged_into(every)
     pairs = zip(recordings, offsets_s, strict=True)
     return [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]  # several may have one name
 
@@ -118,10 +119,11 @@ def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool
 def align(
     tracks: Sequence[Track], rig: Rig, *, same_delay_for_all: bool = True, reach_s: float = DELAY_REACH_S
 ) -> AlignedTracks:
-    """Each track with the offset of its clock found and taken off, or the reasons why it cannot be. A track that fits
-    its nominal delay stays as it is, unless same_delay_for_all and its image stops at another delay than those of the
-    other recordings: one camera has one delay. Without, such a difference may be an effect's. Frames at which the tip
-    follows a step of the motor are left out first. reach_s: as of `find_offset`."""
+    """Takes the offset of its clock off each track's times, or gives fatal reasons why an offset cannot be trusted. A
+    track that fits its nominal delay is left as it is, unless same_delay_for_all and its image stops at another delay
+    than those of the other recordings, as one camera has one delay. (If not same_delay_for_all, such a difference may
+    be an effect's.) Frames at which the tip follows a step of the motor are left out first. reach_s: as in
+    `find_offset`."""
     tracks, stepping, notes = without_steps(tracks, rig)
     notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
     if stepping:
@@ -134,7 +136,7 @@ def align(
         refused = None if offset is None else _reason_to_refuse(track, offset, rig)
         offset_s = 0.0
         if offset is not None and offset.offset_s and offset.misfit <= _FOLLOWS:
-            track, offset_s = _corrected(track, offset, nominal_s, rig)
+            track, offset_s = _without_offset(track, offset, nominal_s, rig)
         if refused is not None:
             reasons.append(refused)
         aligned.append(track)
@@ -157,9 +159,10 @@ def _offset_reason(track: Track, offset_s: float) -> Reason:
 def _at_one_delay(
     tracks: list[Track], offsets: list[float], rig: Rig, same_delay_for_all: bool
 ) -> tuple[list[Track], list[float]]:
-    """Tracks and their offsets, s, with all images at one delay, as a camera has one: the likeliest delay of a track
-    whose clock was right. Tracks whose images stop at a clearly different one are shifted to it if all their frames
-    bear it; without same_delay_for_all only those that have an offset already."""
+    """Tracks and their offsets, s, with all images at one delay, as one camera has one. It is the delay of the
+    likeliest recording among those with offset 0. A track whose image stops at a clearly different delay is shifted to
+    it if all its frames fit its own delay (`_fits_at_own_delay`) and, if not same_delay_for_all, if it has an offset
+    already. All stay as they are with a single track, with an angle sensor's, or if no track has offset 0."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
         return tracks, offsets
     delays = [delay_of_stops([track], rig) for track in tracks]
@@ -181,9 +184,9 @@ def _at_one_delay(
 
 
 def _fits_at_own_delay(track: Track, rig: Rig, own_s: float, best_s: float) -> bool:
-    """Whether all frames of the track fit about as well at own_s, the delay of its stops, as at best_s. If not, only
-    the stops are late, as those of a slow motion are behind a codec that holds back what moves little. Yes where frames
-    tell nothing."""
+    """Whether all frames of the track fit about as well at own_s, the delay of its stops, as at best_s. If they do not,
+    only its stops are late, as those of a slow motion are behind a codec that holds back what moves little. True if
+    frames tell nothing."""
     scan = LagScan.of(track, rig, FRAMES[0])
     if scan is None:
         return True
@@ -191,9 +194,9 @@ def _fits_at_own_delay(track: Track, rig: Rig, own_s: float, best_s: float) -> b
     return own <= _BEATEN * best
 
 
-def _corrected(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
-    """The track with its offset taken off, and that offset, s, refined by the delay that is found then if that is known
-    to _SURE_S."""
+def _without_offset(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
+    """The track with its clock's offset taken off, and that offset, s. The offset is refined by the delay that is then
+    found on the track, if that is known to _SURE_S."""
     offset_s = offset.offset_s
     near = replace(track, t_s=track.t_s - offset_s)
     delay = delay_of_all([near], rig) if track.sensor == ANGLE else find_delay([near], rig, nominal_s)
@@ -220,9 +223,10 @@ def delay_jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def find_offset(track: Track, rig: Rig, reach_s: float = DELAY_REACH_S) -> Offset | None:
-    """The offset of the track's clock within REACH_S: 0 if the nominal delay fits (or a lag within reach_s of it does),
-    with a misfit of 1 if no lag can be tried. None if the track shows no motion to tell it by. reach_s: up to _NEAR_S;
-    a lag that is farther from the nominal delay is no delay but another clock."""
+    """The offset of the track's clock, within REACH_S. It is 0 if the nominal delay, or a lag within reach_s of it,
+    fits; misfit 1 if no lag could be tried. Other offsets that fit about as well are its rivals. None if the track
+    shows no motion to tell it by. reach_s (up to _NEAR_S): a lag farther than this from the nominal delay is another
+    clock, not a delay."""
     scan = LagScan.of(track, rig, FRAMES[0])
     if scan is None:
         return None
@@ -252,20 +256,21 @@ def find_offset(track: Track, rig: Rig, reach_s: float = DELAY_REACH_S) -> Offse
 
 
 def _lags_around(lag_s: float, reach_s: float) -> Array:
-    """Lags (n,), s, PITCH_S apart, within reach_s of this one."""
+    """Lags (n,), s, from lag_s - reach_s to lag_s + reach_s, PITCH_S apart."""
     steps = round(reach_s / PITCH_S)
     return np.asarray(lag_s + np.arange(-steps, steps + 1) * PITCH_S)
 
 
 def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
-    """The minima of the misfit over lags (n,), s, that are within _RIVAL of the least, best first. Two with no ridge of
-    _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with (to _COARSELY
-    of that); fine: more, to refine with."""
+    """The minima of the misfit over lags (n,), s, that leave at most _RIVAL times the least, best first. Two minima are
+    taken for one if they are within _APART_S or no ridge of _RIDGE times the misfit is between them. scan: of few
+    frames, to search with, where up to _COARSELY times as much is let through; fine: of more frames, to refine each
+    minimum."""
     least_misfits = scan.least_misfits(lags)
     finite = np.where(np.isfinite(least_misfits), least_misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])
-    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= _COARSELY * _RIVAL * finite.min() + 1e-12)
-    at = np.flatnonzero(lowest & np.isfinite(least_misfits))
+    candidate = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= _COARSELY * _RIVAL * finite.min() + 1e-12)
+    at = np.flatnonzero(candidate & np.isfinite(least_misfits))
     minima = sorted((fine.minimum_near(float(lags[i])) for i in at), key=lambda one: one.misfit)
     rivals: list[Minimum] = []
     for one in minima:
@@ -279,12 +284,12 @@ def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
 
 
 def _reason_to_refuse(track: Track, best: Offset, rig: Rig) -> Reason | None:
-    """The fatal reason why no offset of this track can be trusted: its times are stretched, several offsets fit alike,
-    or none does. None where `best` can be."""
+    """The fatal reason why the track's offset cannot be trusted: its times are stretched, several offsets fit alike, or
+    none does. None if `best`, the offset that was found, can be trusted."""
     follows = best.misfit <= _FOLLOWS
     if follows and not best.rivals:
         return None
-    stretched = _stretched(track, rig, best.misfit)
+    stretched = _reason_of_stretch(track, rig, best.misfit)
     if stretched is not None:
         return stretched
     if follows:
@@ -295,9 +300,10 @@ def _reason_to_refuse(track: Track, best: Offset, rig: Rig) -> Reason | None:
     return Reason("clock.offset", says, "check that both are of one run, and their clocks", fatal=True)
 
 
-def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
-    """The fatal reason that a track's times run too fast or too slow: scaled to the motor's duration they leave at most
-    the share _STRETCHED of `misfit`, that of the best offset. None where they do not."""
+def _reason_of_stretch(track: Track, rig: Rig, misfit: float) -> Reason | None:
+    """The fatal reason that a track's times run too fast or too slow, None if they do not. They do if frames and motor
+    last differently and, once the times are scaled to the motor's duration, a lag leaves at most the share _STRETCHED
+    of `misfit`, that of the best offset."""
     motor_s = float(np.ptp(track.motor.t_s))
     seen_s = float(np.ptp(track.t_s))
     if seen_s <= 0.0 or abs(motor_s / seen_s - 1.0) < _LONGER:
@@ -316,8 +322,9 @@ def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
 
 
 def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
-    """The delay at which the image stops (`find_delay`) around the nominal one; if that ends at the edge of what it
-    looks through, around the delay at which all frames fit best."""
+    """The delay at which the image stops, looked for around the nominal one (`find_delay`). If the result is at the
+    edge of what that looks through, it is looked for once more, around the delay at which all frames fit best or, if
+    that is the nominal one, around the edge; the second result counts if it is not at its edge."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
     delay = find_delay(tracks, rig, nominal_s)
     if abs(delay.delay_s - nominal_s) < _EDGE_S and np.isfinite(delay.sigma_s):
@@ -331,9 +338,9 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
 
 
 def _start_of_search(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
-    """Where `find_delay` is to start, s: the one of 2 _EITHER_WAY + 1 lags within DELAY_REACH_S of the nominal delay
-    that leaves the least misfit, where that is less than _CLEARLY_LESS of the nominal one's and the lag is farther from
-    it than `find_delay` comes by itself (_BY_ITSELF_S); else the nominal delay."""
+    """Where `find_delay` is to start, s. Of 2 _EITHER_WAY + 1 lags within DELAY_REACH_S of the nominal delay the one of
+    least misfit, if that is less than _CLEARLY_LESS of the nominal delay's and the lag is more than _BY_ITSELF_S away,
+    as far as `find_delay` surely comes by itself; else the nominal delay."""
     scans = [scan for scan in (LagScan.of(track, rig, FRAMES[0]) for track in tracks) if scan is not None]
     if not scans:
         return nominal_s

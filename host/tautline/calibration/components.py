@@ -103,14 +103,15 @@ class Components:
 
     @property
     def late_change(self) -> float:
-        """rms over the noise by which what changes gradually still differed from the end's state in the last quarter
-        of the session."""
+        """rms over the noise, in the last quarter of the session, of the difference between what was seen and what
+        would be seen with the end's state, by gradual changes alone; 0 if nothing changed."""
         late = [each.late for each in self.from_end if len(each.late)]
         return float(np.sqrt(np.mean(np.concatenate(late) ** 2))) if late else 0.0
 
     def at_the_end(self, tracks: Sequence[Track]) -> list[EndedTrack]:
-        """The counted frames of the fit's tracks as if all had been seen with the state of the session's end,
-        where something changed; only tracks that have any."""
+        """The counted frames of the fit's tracks as if all had been seen with the state of the session's end. tracks:
+        those that were fitted. Empty if nothing changed during the session; tracks without counted frames are left
+        out."""
         kept = [track.only(change.frames) for track, change in zip(tracks, self.from_end, strict=True)]
         return [
             EndedTrack(
@@ -136,9 +137,9 @@ class Components:
         """Whether the strongest component is how the tip starts after a reversal (gradual or asymmetric)."""
         return bool(self.parts) and self.parts[0].name.startswith("phase")
 
-    def applied(self, fitted: Fitted) -> Fitted:
-        """The joint fit with B, path and delay, sigmas and clock as the components leave them; scale is
-        `unexplained`."""
+    def applied_to(self, fitted: Fitted) -> Fitted:
+        """The joint fit with the components' B, path and delay, their sigmas, and the sensor's clock corrected; its
+        scale is `unexplained`. Its covariance and weights stay those of the fit without components."""
         fit = replace(fitted.fit, tracks=on_clock(fitted.fit.tracks, self.clock_error), smoothing=fitted.fit.smoothing)
         residuals, masks = fit.residuals(self.curves)
         return replace(
@@ -164,8 +165,8 @@ class _Selection:
     count_visible: bool = False  # an encoder's count shows in the image
 
     def run(self) -> Components:
-        """Alternates: components join and are estimated at one linearisation, path, B and delay move by the solution
-        (Gauss-Newton), until no component joins and B stays where it is."""
+        """Selects components. In turns, components join and are estimated at one linearisation, and path, B and delay
+        move by the solution (Gauss-Newton); until no component joins and B stays where it is, or no step helps."""
         self._begin_with_turns()
         counted = counted_frames(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
         assert counted is not None  # it was fitted to frames
@@ -181,15 +182,16 @@ class _Selection:
             searched = model.searched_again()
             if not joined and not model.moves_width:
                 break
-            ahead = self._ahead(model, searched)
-            if ahead is None:
+            relinearised = self._relinearised(model, searched)
+            if relinearised is None:
                 break
-            model = ahead
+            model = relinearised
         return _Estimated(model, self.count_visible).components()
 
     def _begin_with_turns(self) -> None:
-        """Makes `turn` a component at once where the standard deviation within an encoder's count moves the image by
-        more than _SHOWS of its noise: then the motor's turns are known no better, whatever else departs."""
+        """Makes `turn` a component at once, and sets count_visible, if an encoder's count shows: if its standard
+        deviation moves the image by more than _SHOWS of the noise. The motor's turns are known no better then, whatever
+        else departs."""
         fit, resolution = self.fitted.fit, self.rig.actuator.encoder_resolution
         count = of_rounding(max(count_of(prepared.track.reading, resolution) for prepared in fit.tracks))
         steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
@@ -197,6 +199,7 @@ class _Selection:
         if count * float(np.median(steep)) > _SHOWS * sigma:
             self.count_visible = True
             self.selected.active.append("turn")
+            # lambda = sigma^2 / s^2 (mixed_model.py), s the count's standard deviation.
             self.selected.penalties["turn"] = (self.fitted.scale / count) ** 2
 
     def _model(
@@ -209,23 +212,24 @@ class _Selection:
         model.solve_with_variances()
         return model
 
-    def _ahead(self, model: MixedModel, searched: SearchedParameters) -> MixedModel | None:
-        """The model linearised anew where its solution leads, or at a share of that step; None where the residuals grow
-        by more than the factor WORSE all the same."""
+    def _relinearised(self, model: MixedModel, searched: SearchedParameters) -> MixedModel | None:
+        """The model linearised and solved anew at the curves of its solution or, if the residuals grow by more than the
+        factor WORSE there, at a share of the step (_STEP_SHARES); None if they do at all shares. `selected` is as
+        before each trial that fails."""
         active, penalties = list(self.selected.active), dict(self.selected.penalties)
         for share in _STEP_SHARES:
             curves = interpolated(model.curves, model.solution, share)
             clock_error = model.clock_error + share * model.clock_step
             counted = counted_frames(self.fitted, curves, self.rig, clock_error)
-            there = None if counted is None else self._model(curves, counted, clock_error, searched)
-            if there is not None and there.noise < WORSE * model.noise:
-                return there
+            trial = None if counted is None else self._model(curves, counted, clock_error, searched)
+            if trial is not None and trial.noise < WORSE * model.noise:
+                return trial
             self.selected.active, self.selected.penalties = list(active), dict(penalties)
         return None
 
 
 def interpolated(start: Curves, end: Curves, share: float) -> Curves:
-    """The curves at this share, 0 to 1, of the way from `start` to `end`; without effects."""
+    """The curves at this share, 0 to 1, of the way from `start` to `end`. Values of effects are left out."""
     return Curves(
         start.backlash + share * (end.backlash - start.backlash),
         start.follow + share * (end.follow - start.follow),
@@ -241,12 +245,12 @@ class _Estimated:
     count_visible: bool
 
     def components(self) -> Components:
-        """What was found, B being that of slow strokes at the session's end."""
-        left = self.model.left()
-        each = frames_per_independent(left)
-        # Covariances of the nominal unknowns without components: of frames that are all independent, and of as many as
-        # are. Only the frames' share is divided, what is known beforehand is known all the same.
-        without_components, of_independent = self._nominal_inverse(1.0), self._nominal_inverse(each)
+        """The components and all that follows from them. B is that of slow strokes at the session's end."""
+        residuals = self.model.residuals_left()
+        frames_each = frames_per_independent(residuals)
+        # Covariances of the nominal unknowns without components: if all frames were independent, and with as many as
+        # are. Only the frames' information is divided by `frames_each`, that of the priors is not.
+        without_components, of_independent = self._nominal_inverse(1.0), self._nominal_inverse(frames_each)
         found = (self._component(name, at) for name, at in self.model.active_blocks())
         parts = sorted(found, key=lambda part: -part.chi2)
         mean = self.model.solution
@@ -263,8 +267,8 @@ class _Estimated:
             width_by_delay=self._width_by_delay(of_independent),
             tracker_lag_s=self._tracker_lag_s(parts),
             unexplained=self.model.noise,
-            moving_ratio=self.model.moving_ratio(left),
-            frames_per_independent=each,
+            moving_ratio=self.model.moving_ratio(residuals),
+            frames_per_independent=frames_each,
             parts=tuple(parts),
             clock_error=self.model.clock_error + self.model.clock_step,
             count_visible=self.count_visible,
@@ -272,8 +276,8 @@ class _Estimated:
         )
 
     def _nominal_inverse(self, frames_each: float) -> Array:
-        """Covariance (nominal, nominal) of path, B and delay in units of the noise's variance, without components,
-        where one of `frames_each` frames is independent."""
+        """Covariance (nominal, nominal) of path, B and delay without components, in units of the noise's variance, if
+        `frames_each` frames tell as much as one independent frame."""
         system = self.model.gram[: self.model.nominal, : self.model.nominal] / frames_each + self.model.nominal_penalty
         system[np.diag_indices_from(system)] += _RIDGE * float(np.mean(np.diag(system)))
         return inverse_of(system)
@@ -281,9 +285,9 @@ class _Estimated:
     def _total_width_sigma(
         self, without_components: Array, of_independent: Array, parts: Sequence[Component], changed: float, width: Array
     ) -> Array:
-        """(grid,) standard deviation of B, unit of q, in quadrature: what the components add to its variance; the noise
-        of as many frames as are independent; CORRECTS of what the components correct and of what the session's change
-        does (changed: its mean square); the scatter between recordings; and LAW of what speed adds to B, `width`.
+        """(grid,) standard deviation of B, unit of q; in quadrature: what the components add to its variance; the noise
+        of the independent frames; CORRECTS times the components' corrections of B and its change over the session
+        (changed: mean square); the scatter between recordings; and LAW times what speed adds to `width`, B (grid,).
         without_components, of_independent: `_nominal_inverse` of all frames and of the independent ones."""
         without, own = self.model.width_sigma(without_components), self.model.width_sigma()
         corrected = sum((np.mean(part.width_shift**2) for part in parts), 0.0)
@@ -309,10 +313,12 @@ class _Estimated:
         return np.asarray(design @ covariance[block, -1] / covariance[-1, -1])
 
     def _component(self, name: str, at: Indices) -> Component:
-        """An active component with its strength, and how B and the delay would change if its values, at these places
-        of `values`, were held at zero (the conditional mean of the others)."""
+        """The active component `name`, whose values are at the indices `at` of the model's: its strength, and how B and
+        the delay would change if its values u were held at zero. The Wald statistic is u' C_uu^-1 u, the others'
+        conditional mean changes by -C_xu C_uu^-1 u, where C is the covariance."""
         values = self.model.values[at]
         own = self.model.inverse[np.ix_(at, at)]
+        # C_uu^-1 u, with a ridge that keeps C_uu regular.
         pulled = np.linalg.solve(own + 1e-12 * float(np.trace(own)) / len(at) * np.eye(len(at)), values)
         chi2 = float(values @ pulled) / max(self.model.noise**2, 1e-30)
         rms = self.model.noise * float(np.sqrt(max(chi2, 0.0) / max(float(self.model.weight.sum()), 1.0)))
@@ -322,9 +328,9 @@ class _Estimated:
         )
 
     def _tracker_lag_s(self, parts: Sequence[Component]) -> float:
-        """By how much, s, a tracker that holds back small motions shows a moving tip late: the rms of its components
-        over the median speed in the image. What all strokes share of that is taken to be as large as what they do not,
-        which is what the components show. 0 without a component `tracker`."""
+        """By how much, s, a tracker that holds back small motions may show a moving tip late: the rms of the components
+        that it causes over the median speed in the image. These components show only what differs from stroke to
+        stroke; a lag that all strokes share is taken to be as large. 0 without a component `tracker`."""
         rms = {part.name: part.rms for part in parts if part.name in ("tracker", "phase.even")}
         speed = np.linalg.norm(self.model.counted.slope, axis=1) * np.abs(self.model.counted.speed)
         speed = speed[self.model.counted.moving]
@@ -333,29 +339,30 @@ class _Estimated:
         return sum(rms.values()) / max(float(np.median(speed)), 1e-12)
 
     def _lag_taken_for_delay(self) -> float:
-        """The sum of the lags, s, where it is so short (_SHORT_LAG of a frame's period) that frames do not tell it from
-        a delay, to which it is added then; 0 where it is longer."""
+        """The sum of the lags, s, if it is shorter than _SHORT_LAG of a frame's period, so that frames do not tell it
+        from a delay, to which it is to be added; else 0."""
         lags = sum(float(self.model.values[at][0]) for name, at in self.model.active_blocks() if name.startswith("lag"))
         return lags if lags < _SHORT_LAG * float(np.median(np.diff(self.model.counted.time_s))) else 0.0
 
     def _added_by_speed(self, width: Array) -> Array:
-        """(k,) by how much a width (k,) at the usual speed is more than that of slow strokes, unit of q."""
+        """(k,) how much wider B is at the usual speed than in slow strokes, unit of q, by the components of speed;
+        width (k,): B at the usual speed, or its coefficients."""
         added = [
             (name, float(self.model.values[at][0])) for name, at in self.model.active_blocks() if name.startswith(SPEED)
         ]
         return np.asarray(sum((v * (width if name.endswith(SHARE) else 1.0) for name, v in added), 0.0 * width))
 
     def _scatter_between_recordings(self) -> float:
-        """rms, as a share of B, by which B differs from one recording to the next: no B is known better."""
+        """rms, as a share of B, by which B differs from one recording to the next; 0 without such a component."""
         values = [self.model.values[at] for name, at in self.model.active_blocks() if name == "width.recording"]
         return float(np.sqrt(np.mean(values[0] ** 2))) if values else 0.0
 
     # ---- the state at the session's end
 
     def _from_end(self) -> tuple[DifferenceFromEnd, ...]:
-        """By track, how its frames differ from what they would show with the state of the session's end: by the columns
-        of components that are such a state, less their columns at the end, times their values. Its spread is along the
-        eigenvectors of the values' covariance. Empty where no component is such a state."""
+        """By track, how its frames differ from what they would show with the state of the session's end: the columns of
+        components that are a state (STATES), less the same columns at the end, times their values. The spread has a
+        column for each eigenvector of the values' covariance. Empty if no component is a state."""
         changed = [(name, at) for name, at in self.model.active_blocks() if name in STATES]
         if not changed:
             return ()
@@ -379,8 +386,8 @@ class _Estimated:
         return tuple(differences)
 
     def _offset_at_the_end(self) -> float:
-        """Offset of the motor's positions at the session's end against its mean, unit of q: the tip at q is where it
-        was at q + offset."""
+        """Offset of the motor's positions at the session's end against its mean, unit of q: the tip at q is where, in
+        the mean, it was at q + offset. 0 without such components."""
         offset = 0.0
         for name, at in self.model.active_blocks():
             values = self.model.values[at]
@@ -389,13 +396,14 @@ class _Estimated:
             elif name == "offset.slip":
                 offset += float(values[0])
             elif name == "offset.time":
-                slow = slow_basis(np.array([_END]), len(values) - 3)
+                slow = slow_basis(np.array([_END]), len(values) - 3)  # a cubic spline has 3 more values than spans
                 offset += float((slow @ values)[0])
         return offset
 
     def _width_at_the_end(self, backlash: Array) -> Array:
-        """B's coefficients (m,), given those of the session's mean, for slow strokes at the session's end: moved along
-        by the transmission's offset, times its growth in time and in the last recording, less what speed adds."""
+        """B's coefficients (m,) for slow strokes at the session's end, from those of the session's mean, `backlash`
+        (m,): shifted by the transmission's offset, times B's growth until the end and in the last recording, less what
+        speed adds."""
         values = {name: self.model.values[at] for name, at in self.model.active_blocks() if name.startswith("width.")}
         if offset := self._offset_at_the_end():
             basis, grid = self.model.fit.backlash, self.model.fit.grid

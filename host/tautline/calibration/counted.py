@@ -58,8 +58,9 @@ class CountedFrames:
     weight: Array
 
     def along_path(self, columns: Sparse) -> sparse.csr_matrix:
-        """(channels * n, m) columns of the image, from columns (n, m) of the tip's place p."""
-        if isinstance(columns, np.ndarray):  # every entry is kept: a fifth of the time
+        """(channels * n, m) columns of the whitened image, channel by channel, from columns (n, m) of the tip's place
+        p."""
+        if isinstance(columns, np.ndarray):  # every entry is stored, zeros too: in a fifth of the time
             n, m = columns.shape
             rows = self.slope.shape[1] * n
             values = (self.slope.T[:, :, None] * columns).ravel()
@@ -68,12 +69,13 @@ class CountedFrames:
         return sparse.csr_matrix(sparse.vstack([scaled_rows(slope, columns) for slope in self.slope.T]))
 
     def per_channel(self, columns: Sparse) -> sparse.csr_matrix:
-        """(channels * n, channels * m) these columns (n, m) for every channel of the image, with values of its own."""
+        """(channels * n, channels * m) block-diagonal: the columns (n, m) for each channel of the whitened image
+        alone."""
         return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
 
     def at_the_end(self) -> CountedFrames:
-        """Frames at the same places, each at the end of the session (`t` is 1/2) and in its last recording: of these is
-        told what a change during the session comes to in the end."""
+        """The same frames as if all were at the end of the session (`t` is 1/2) and in its last recording. A
+        departure's columns for them say what a change during the session comes to in the end."""
         n = len(self.t)
         last = int(self.recording[np.argmax(self.time_s)]) if n else 0
         return replace(
@@ -89,29 +91,30 @@ def scaled_rows(factors: Array, columns: Sparse) -> sparse.csr_matrix:
 
 
 def counted_frames(fitted: Fitted, curves: Curves, rig: Rig, clock_error: Array) -> CountedFrames | None:
-    """The frames that count at these curves. clock_error (2,), s, is taken off the tracks' times: the sensor's clock
-    is off by c0 t + c1 (t^2 - 1/12), t from -1/2 to 1/2 over the session. None where no frame counts: the tip was never
-    driven through so wide a play."""
+    """The frames that count at these curves, of all tracks. clock_error (2,), s, is taken off the tracks' times: the
+    sensor's clock is off by c0 t + c1 (t^2 - 1/12), with t from -1/2 to 1/2 over the session. None if no frame counts:
+    the tip was never driven through so wide a play."""
     tracks = on_clock(fitted.fit.tracks, clock_error)
     fit = replace(fitted.fit, tracks=tracks, smoothing=fitted.fit.smoothing)
     residuals, masks = fit.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
     usual = usual_width(fit.width(curves), float(fit.grid[-1] - fit.grid[0]))
-    return _joined(
+    return _joined_tracks(
         [
             _of_track(fit, curves, number, residuals[number], masks[number], fitted.weights[number], usual, rig)
             for number in range(len(tracks))
         ],
-        _session(fitted.fit.tracks),
+        _session_span(fitted.fit.tracks),
     )
 
 
 def on_clock(tracks: Sequence[PreparedTrack], clock_error: Array) -> list[PreparedTrack]:
-    """The tracks with the error of their clock (2,), s, as in `counted_frames`, taken off their times."""
+    """The tracks with the error of the sensor's clock taken off their times. clock_error (2,), s: as in
+    `counted_frames`."""
     if not clock_error.any():
         return list(tracks)
-    first, length = _session(tracks)
+    first, length = _session_span(tracks)
     corrected = []
     for prepared in tracks:
         t = (prepared.track.t_s + prepared.track.session_s - first) / length - 0.5
@@ -120,8 +123,8 @@ def on_clock(tracks: Sequence[PreparedTrack], clock_error: Array) -> list[Prepar
     return corrected
 
 
-def _session(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
-    """When the first frame of the session came, and how long it was until the last one, s."""
+def _session_span(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
+    """The time of the session's first frame, s, and how long the session lasts until its last one, s."""
     ends = [prepared.track.t_s[[0, -1]] + prepared.track.session_s for prepared in tracks]
     first, last = float(np.min(ends)), float(np.max(ends))
     return first, max(last - first, 1e-9)
@@ -130,9 +133,10 @@ def _session(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
 def _of_track(
     fit: PlayFit, curves: Curves, number: int, residuals: Array, keep: Mask, weights: Array, usual: float, rig: Rig
 ) -> CountedFrames:
-    """The counted frames of one track, after `fit.residuals` with the same curves. What needs the other tracks is left
-    to `_joined`: `t` is 0 yet, `load` has its mean, and `stroke` counts from the track's first. residuals (frames,
-    channels), keep (frames,) and weights (frames,) of all its frames; usual: typical B, unit of q."""
+    """The counted frames of the track `number`; `fit.residuals` must have been called with the same curves. What needs
+    the other tracks is left to `_joined_tracks`: `t` is 0 here, `load` has its mean, and `stroke` counts from the
+    track's first. residuals (frames, channels), keep (frames,) and weights (frames,) are of all frames of the track;
+    usual: typical B, unit of q."""
     prepared, sim = fit.tracks[number], fit.simulated[number]
     track = prepared.track
     scene_s = track.scene_s(curves.delay_s)[keep]
@@ -168,16 +172,18 @@ def _of_track(
 
 
 def _lag_columns(track: Track, play: Play, scene_s: Array, times_s: tuple[float, ...]) -> Array:
-    """(n, k) What a first-order lag of each time constant (k,), s, adds to the centre p of this play, unit of q, at
-    scene times (n,), s. It is taken from the whole course of p, every _FINE_S: a lag remembers what came before."""
+    """(n, k) what a first-order lag with each of the time constants times_s (k,), s, adds to the play's centre p, unit
+    of q, at scene times (n,), s. p is simulated every _FINE_S from the record's begin, as a lag remembers what came
+    before."""
     fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
     course = play.forward(track.motor_at(fine))
     return np.column_stack([np.interp(scene_s, fine, _low_pass(course, tau) - course) for tau in times_s])
 
 
-def _joined(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> CountedFrames:
-    """The frames of all tracks as one: `t` by the session's length, strokes numbered on, the load without its mean, and
-    outliers of the residuals weighed down as by a heavy-tailed density. session: first frame and length, s."""
+def _joined_tracks(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> CountedFrames:
+    """The frames of all tracks as one: with `t` by the session's length, strokes numbered on from track to track, the
+    load without its mean (None unless all have one), and less weight for outliers, frames whose residual is above STRAY
+    times the usual one. session: time of the first frame, and length, s."""
     first, length = session
     before, strokes = 0, []
     for piece in pieces:
@@ -203,15 +209,15 @@ def _joined(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> Co
 
 
 def _since_turn(path: MotorPath, at: Array, rig: Rig) -> tuple[Array, Array]:
-    """How far the motor has gone since it last turned (n,), unit of q, and its direction since then (n,), +1 or -1, at
-    scene times (n,), s; how far is inf before its first turn."""
+    """How far the motor has gone since its last turn (n,), unit of q, inf before its first turn; and its direction
+    since then (n,), +1 or -1. at (n,): scene times, s."""
     motor, hysteresis = path.lines, turning_hysteresis(path, rig.actuator.encoder_resolution, rig.actuator.span)
     turns = _native.turns(np.ascontiguousarray(motor.q), hysteresis)
     edges = np.concatenate([[0], turns, [len(motor.q) - 1]]).astype(int)
     directions = np.sign(np.diff(motor.q[edges]))
     which = np.clip(np.searchsorted(motor.t_s[edges], at, side="right") - 1, 0, len(directions) - 1)
-    gone = np.abs(np.interp(at, motor.t_s, motor.q) - motor.q[edges[which]])
-    return np.where(which == 0, np.inf, gone), directions[which]
+    travel = np.abs(np.interp(at, motor.t_s, motor.q) - motor.q[edges[which]])
+    return np.where(which == 0, np.inf, travel), directions[which]
 
 
 def _low_pass(p: Array, time_s: float) -> Array:

@@ -1,4 +1,5 @@
-"""Where of the range B was measured: passed both ways and turned at; and what of the rest could be."""
+"""Where in the range B was measured, which is where the tip passed both ways and turned; and where in the rest it could
+be."""
 
 from __future__ import annotations
 
@@ -33,24 +34,23 @@ class Gap:
 
 
 def not_measured(span: Span, unit: str) -> str:
-    """That B is not known from span[0] to span[1], in q's unit: a live calibration, its page and a recording say it
-    alike."""
+    """The words that B is not known from span[0] to span[1], in q's unit, as reports and live calibrations have
+    them."""
     return f"B is not measured from {span[0]:.3g} to {span[1]:.3g} {unit}"
 
 
 def seeable(model: Model, low: float, high: float) -> Span:
-    """The lowest and highest position at which B has to be measured for a motor that goes from `low` to `high`: all but
-    B/2 and _EDGE of the range at either end, where it cannot be seen."""
+    """The lowest and highest position at which B has to be measured for a motor that goes from `low` to `high`. It
+    leaves out B/2 at either end, where B cannot be seen, and _EDGE of the range, which may be missing."""
     free = _EDGE * (high - low)
     return low + 0.5 * float(model.width[0]) + free, high - 0.5 * float(model.width[-1]) - free
 
 
 def distance_to_both_ways(joint_fit: Fitted, grid: Array) -> Array:
     """(grid,) distance, unit of q, from each position to the nearest counted frame of a rising tip or to that of a
-    falling one, whichever is farther: 0 where it passed both ways. inf everywhere if one way has no frame."""
-    seen = [
-        (s.p[mask], s.lean[mask]) for s, mask in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)
-    ]  # the simulation is the last that the fit made: at its own curves
+    falling one, whichever is farther: 0 where the tip passed both ways. inf everywhere if one way has no frame. The
+    fit's last simulation must be that of its own curves."""
+    seen = [(s.p[mask], s.lean[mask]) for s, mask in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)]
     by_direction = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
     if not all(len(p) for p in by_direction):
         return np.full(len(grid), np.inf)
@@ -60,13 +60,13 @@ def distance_to_both_ways(joint_fit: Fitted, grid: Array) -> Array:
 
 
 def gaps(model: Model, apart: Array | None) -> tuple[Gap, ...]:
-    """The stretches in which B can be seen (`seeable`) and is not measured, the lowest first: not passed both ways
-    within HOLE of the range, or beyond all turns. apart: `distance_to_both_ways` on the model's grid; None where
-    nothing tells it."""
+    """The stretches, the lowest first, in which B can be seen (`seeable`) but is not measured: not passed both ways
+    within HOLE of the range, or beyond all turns. apart (grid,): `distance_to_both_ways` on the model's grid; None if
+    that is not known, and passes are not asked for."""
     low, high = float(model.q[0]), float(model.q[-1])
     first, last = seeable(model, low, high)
     passed = np.ones(len(model.q), dtype=bool) if apart is None else apart <= HOLE * (high - low)
-    from_turn, to_turn = model.measured  # one place, twice: none that counts
+    from_turn, to_turn = model.measured  # equal if no range of turns was measured
     turned = (model.q >= from_turn) & (model.q <= to_turn) & (from_turn < to_turn)
     missing = np.flatnonzero(~(passed & turned) & (model.q >= first) & (model.q <= last))
     runs = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1) if len(missing) else []
@@ -76,15 +76,16 @@ def gaps(model: Model, apart: Array | None) -> tuple[Gap, ...]:
 
 
 def _to_the_ends(q: Array, run: npt.NDArray[np.intp], first: float, last: float) -> Span:
-    """The ends of a run of indices of the grid q (grid,). If it reaches an end of what can be seen, first or last, it
-    goes on to that end of the range."""
+    """Lowest and highest position of a run of indices of the grid q (grid,). A run that reaches `first` or `last`, the
+    ends of what can be seen, is extended to that end of the grid."""
     step = float(q[1] - q[0])
     low, high = float(q[run[0]]), float(q[run[-1]])
     return float(q[0]) if low < first + step else low, float(q[-1]) if high > last - step else high
 
 
 def _neighbours(p: Array, at: Array) -> Array:
-    """(places, 2) of sorted positions p (n,) the neighbours on either side of each place `at` (places,)."""
+    """(places, 2) for each place `at` (places,) the nearest of the sorted positions p (n,) below it and above it; for a
+    place outside of all p its nearest one, twice."""
     k = np.searchsorted(p, at)
     return np.column_stack([p[np.clip(k - 1, 0, len(p) - 1)], p[np.clip(k, 0, len(p) - 1)]])
 

@@ -2,10 +2,9 @@
 (components.py).
 
 Each departure is a linear change of what the sensor sees, frame by frame: columns Z with a penalty matrix P, so that
-its values u have the prior N(0, s^2 P^-1). Departures of the transmission move the tip's place p and so the image along
-the path; those of the camera move the image itself. n: counted frames; channels: 2 of an image (px), 1 of an angle
-(deg). Columns are for the whitened image, channel by channel: (channels * n, m).
-"""
+its values u have the prior N(0, s^2 P^-1). Departures of the transmission move the tip's place p, and with it the image
+along the path; those of the camera move the image itself. n: counted frames; channels: 2 of an image (px), 1 of an
+angle (deg). Columns are for the whitened image (over the stated noise), channel by channel: (channels * n, m)."""
 
 from __future__ import annotations
 
@@ -80,8 +79,9 @@ class SearchedParameters:
     tracker_length_px: float | None = None  # length of the image's path over which a tracker's error stays alike
 
     def updated(self, counted: CountedFrames, left: Array, in_use: Set[str]) -> SearchedParameters:
-        """With the moments of shift and slip and the frequency that explain most of the whitened residuals left (n,
-        channels); those of departures that are in use (names) stay."""
+        """The parameters searched for anew in the whitened residuals left (n, channels): the moments of a shift and a
+        slip and the frequency that explain most of them. Those of departures in use (names) stay, as the tracker's
+        length does."""
         best = self
         if "image.shift" not in in_use:
             best = replace(best, shift_s=_shift_time(counted.time_s, left))
@@ -96,8 +96,8 @@ class SearchedParameters:
 
 
 def departures(counted: CountedFrames, searched: SearchedParameters, *, apart: bool | None = None) -> list[Departure]:
-    """Every departure that these frames could show. searched: its parameters that are not linear; apart: whether
-    recordings may differ (None: where they show much the same positions)."""
+    """Every departure that these frames could show. searched: parameters that are not linear. apart: whether recordings
+    may differ; None: they may if they show much the same positions."""
     n = len(counted.p)
     strokes = int(counted.stroke.max(initial=0)) + 1
     slow = slow_basis(counted.t, min(_TIMES, strokes // _STROKES_A_SPAN))
@@ -106,7 +106,11 @@ def departures(counted: CountedFrames, searched: SearchedParameters, *, apart: b
     found = [
         *_start_departures(counted, by_speed),
         *_stroke_departures(counted, by_stroke),
-        *([] if slow is None else [Departure("offset.time", counted.along_path(slow), _smooth(slow.shape[1]))]),
+        *(
+            []
+            if slow is None
+            else [Departure("offset.time", counted.along_path(slow), _smoothness_penalty(slow.shape[1]))]
+        ),
         _one_value(counted, "width.time", counted.by_width * counted.width * counted.t),
         *by_speed,
         _one_value(counted, "clock.rate", counted.by_delay * counted.t),
@@ -127,15 +131,16 @@ def departures(counted: CountedFrames, searched: SearchedParameters, *, apart: b
 
 
 def _one_value(counted: CountedFrames, name: str, column: Array) -> Departure:
-    """The departure of one value, from what it adds to p at each frame, (n,)."""
+    """The departure with one value, from what one unit of it adds to p at each frame, column (n,)."""
     return Departure(name, counted.along_path(column[:, None]), np.eye(1))
 
 
 def _start_departures(counted: CountedFrames, by_speed: Sequence[Departure]) -> list[Departure]:
-    """How the tip starts after a reversal, over the travel since the turn in widths: alike both ways (phase.even, not
-    beside a width by speed, which looks like it) and the other way round (phase.odd)."""
-    hats = _hats(counted.phase, _PHASES)[:, :-1]
-    smooth = _smooth(hats.shape[1])
+    """How the tip starts after a reversal, as a curve over the travel since the turn in widths. phase.even: an offset
+    of p along the stroke's direction, alike both ways; not beside a width by speed, which looks like it. phase.odd: an
+    offset of p that has the same sign both ways, so that the tip starts early one way and late the other."""
+    hats = _hat_functions(counted.phase, _PHASES)[:, :-1]
+    smooth = _smoothness_penalty(hats.shape[1])
     even = counted.along_path(scaled_rows(counted.direction, hats))
     return [
         Departure("phase.even", even, smooth, not_beside=frozenset(part.name for part in by_speed)),
@@ -144,8 +149,8 @@ def _start_departures(counted: CountedFrames, by_speed: Sequence[Departure]) -> 
 
 
 def _stroke_departures(counted: CountedFrames, by_stroke: Sparse) -> list[Departure]:
-    """An offset of p on every half-cycle (stroke), and one while the tip rests in it (turn). by_stroke (n, strokes): 1
-    where a frame is of a stroke."""
+    """An offset of p for each half-cycle, at all its frames (stroke), and one at those where the tip rests (turn).
+    by_stroke (n, strokes): 1 where a frame is of a stroke."""
     resting = scaled_rows(np.where(counted.moving, 0.0, 1.0), by_stroke)
     each = np.eye(by_stroke.shape[1])
     return [
@@ -155,10 +160,11 @@ def _stroke_departures(counted: CountedFrames, by_stroke: Sparse) -> list[Depart
 
 
 def _speed_departures(counted: CountedFrames) -> list[Departure]:
-    """B plus v (law - 1), or B (1 + v (law - 1)), law being 1 at the usual speed and rising as 1 - exp(-speed / (a
-    usual)) with a of _SATURATES. A motor that stops passes every speed on the way, so a tip that rests was left there
-    by a slow one: law is 0 at rest, unless the width holds what it had (".0" in the name). Only one of all is
-    likely, and not beside phase.even, which looks alike."""
+    """A width that depends on the motor's speed: B + v (law - 1) or, with SHARE in the name, B (1 + v (law - 1)), v
+    being the value. law is 1 at the usual speed and rises as 1 - exp(-speed / (a usual)), with a candidate for each a
+    of _SATURATES. At rest law is 0, as a motor that stops passes every speed and leaves the tip where a slow one would;
+    or it is 1, if the width keeps what it had (".0" in the name). Only one of all joins, and not beside phase.even,
+    which looks alike."""
     speeds = np.abs(counted.speed)
     usual = max(float(np.mean(speeds[counted.moving])) if counted.moving.any() else 0.0, 1e-12)
     laws = {f"{SPEED}.{at:g}": -np.expm1(-speeds / (at * usual)) / -np.expm1(-1.0 / at) for at in _SATURATES}
@@ -173,9 +179,9 @@ def _speed_departures(counted: CountedFrames) -> list[Departure]:
 
 
 def _lag_departures(counted: CountedFrames) -> list[Departure]:
-    """A candidate for each time constant tau of a lag and of a creep; one each joins at most. lag: its value is tau, s,
-    its column what a first-order lag adds to p for each second of it. creep: its value is a share, its column what a
-    slow first-order lag adds to p."""
+    """A first-order lag and a creep, each with a candidate for every time constant tau, of which one joins at most.
+    lag: its value is the lag's time, s, its column what a lag adds to p over tau. creep: its value is a share, its
+    column what a slow lag adds to p."""
     behind = counted.lag_columns(_LAGS_S + _CREEPS_S)
     lags, creeps = behind[:, : len(_LAGS_S)] / np.array(_LAGS_S), behind[:, len(_LAGS_S) :]
     found = []
@@ -188,14 +194,14 @@ def _lag_departures(counted: CountedFrames) -> list[Departure]:
 
 
 def _load_departure(counted: CountedFrames, load: Array) -> Departure:
-    """An offset of p, a width and a gain that follow the logged load (n,), in its standard deviations."""
+    """An offset of p, a width and a gain that are proportional to the logged load (n,), in its standard deviations."""
     load = load / np.std(load)
     effects = np.column_stack([load, counted.by_width * load, (counted.p - counted.p.mean()) * load])
     return Departure("load", counted.along_path(effects), np.eye(3))
 
 
 def _recording_departures(counted: CountedFrames, recordings: int) -> list[Departure]:
-    """An offset of p and a width that differ between recordings, as contrasts: (recordings - 1) values each."""
+    """An offset of p and a share of B that differ between recordings, (recordings - 1) values each (`contrasts`)."""
     which, free = contrasts(recordings)[counted.recording], np.eye(recordings - 1)
     return [
         Departure("offset.recording", counted.along_path(which), free),
@@ -208,19 +214,20 @@ def _recording_departures(counted: CountedFrames, recordings: int) -> list[Depar
 def _image_departures(
     counted: CountedFrames, searched: SearchedParameters, slow: Sparse | None, by_stroke: Sparse
 ) -> list[Departure]:
-    """The image's own motion against the instrument: slow in time, on each stroke (or the tracker's error in its
-    place), by direction, one shift, one sine. slow (n, splines); by_stroke (n, strokes)."""
+    """The image's own motion against the instrument: slowly in time; on each stroke (or the tracker's error in its
+    place); by direction; one shift, with which each place may move in its own way; one sine. slow (n, splines), None
+    where the session is too short; by_stroke (n, strokes)."""
     channels = counted.slope.shape[1]
     found = []
     if slow is not None:
-        found.append(Departure("image.time", counted.per_channel(slow), _smooth(slow.shape[1], channels)))
+        found.append(Departure("image.time", counted.per_channel(slow), _smoothness_penalty(slow.shape[1], channels)))
     length_px = searched.tracker_length_px
-    name, pieces = ("image.stroke", by_stroke) if length_px is None else ("tracker", _pieces(counted, length_px))
+    name, pieces = ("image.stroke", by_stroke) if length_px is None else ("tracker", _path_pieces(counted, length_px))
     found.append(Departure(name, counted.per_channel(pieces), np.eye(channels * pieces.shape[1])))
     found.append(Departure("image.side", counted.per_channel(counted.side[:, None]), np.eye(channels)))
     if searched.shift_s is not None:
         after = (counted.time_s >= searched.shift_s).astype(float)[:, None]
-        shifted = counted.per_channel(after * _places(counted))
+        shifted = counted.per_channel(after * _place_polynomials(counted))
         found.append(Departure("image.shift", shifted, np.eye(3 * channels), price=_SCAN))
     if searched.breath_hz is not None:
         angle = 2 * np.pi * searched.breath_hz * counted.time_s
@@ -234,10 +241,10 @@ def _image_departures(
 
 def tracker_error_length(counted: CountedFrames) -> float | None:
     """Length of the image's path, px, over which an error of the tracker stays alike before it begins anew, as behind a
-    video codec that holds back what moves little; None where there is no such error. It is told from others by what
-    neighbouring frames of a stroke share: that lies across the path as well as along it, as nothing of the tip does,
-    and is another in both halves of a stroke, as nothing of the camera's place is but a sway. The length is the way of
-    the image until neighbours share _HALF as much; at least what makes _PIECES of all strokes."""
+    video codec that holds back what moves little; None if there is no such error. It shows in what neighbouring frames
+    of a stroke share (autocovariance): that lies across the path as well as along it, as nothing of the tip does; it
+    differs between both halves of a stroke, as no shift of the camera does; and it is no sine. The length is the
+    image's way until neighbours share _HALF as much, and at least 1 / _PIECES of the way of all strokes."""
     if counted.slope.shape[1] < 2 or len(counted.p) < 4 * _LAGS:
         return None
     left = counted.residuals * counted.weight[:, None]
@@ -245,18 +252,19 @@ def tracker_error_length(counted: CountedFrames) -> float | None:
     along = np.sum(left * direction, axis=1)
     across = left[:, 0] * direction[:, 1] - left[:, 1] * direction[:, 0]
 
-    def shared(values: Array, lag: int = 1) -> float:
-        """Autocovariance of values (n,) at this lag, in frames of one stroke; noise squared."""
+    def shared_at(values: Array, lag: int = 1) -> float:
+        """Autocovariance of values (n,) at this lag, in frames, within strokes; in units of the noise squared."""
         same = counted.stroke[lag:] == counted.stroke[:-lag]
         return float(np.mean((values[lag:] * values[:-lag])[same])) if same.any() else 0.0
 
-    near = shared(along) + shared(across)
-    if near < _LASTS * float(np.mean(np.sum(left**2, axis=1))) or shared(across) < _ACROSS * shared(along):
+    near = shared_at(along) + shared_at(across)
+    if near < _LASTS * float(np.mean(np.sum(left**2, axis=1))) or shared_at(across) < _ACROSS * shared_at(along):
         return None
     if _shared_by_halves(left, counted.stroke) > _CONSTANT * near or _share_of_sine(counted.time_s, left) > _SWAYS:
         return None
     place = _path_in_stroke(counted)
-    fallen = (lag for lag in range(1, _LAGS) if shared(along, lag) + shared(across, lag) < _HALF * near)
+    # The first lag, in frames, at which _HALF is left; then the median way of the image in so many frames.
+    fallen = (lag for lag in range(1, _LAGS) if shared_at(along, lag) + shared_at(across, lag) < _HALF * near)
     lag = next(fallen, _LAGS - 1)
     same = (counted.stroke[lag:] == counted.stroke[:-lag]) & counted.moving[lag:]
     gone = float(np.median((place[lag:] - place[:-lag])[same])) if same.any() else 0.0
@@ -264,21 +272,21 @@ def tracker_error_length(counted: CountedFrames) -> float | None:
 
 
 def _path_in_stroke(counted: CountedFrames) -> Array:
-    """(n,) how far, px, the image has gone along its path since the stroke began."""
+    """(n,) how far the image has gone along its path since the stroke began, px."""
     step = np.linalg.norm(counted.slope / counted.inverse[:, None], axis=1)[1:] * np.abs(np.diff(counted.p))
     gone = np.concatenate([[0.0], np.cumsum(step)])
     first = np.searchsorted(counted.stroke, counted.stroke, side="left")
     return np.asarray(gone - gone[first])
 
 
-def _pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
-    """(n, nodes) piecewise linear basis over the image's path in each stroke, with a node every length_px; nodes near
-    no frame are left out."""
+def _path_pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
+    """(n, nodes) piecewise linear basis over the image's path of each stroke, with a node every length_px from its
+    begin; nodes that no frame is next to are left out."""
     place = _path_in_stroke(counted) / length_px
     spans = np.zeros(int(counted.stroke.max(initial=0)) + 1, dtype=np.intp)
     np.maximum.at(spans, counted.stroke, place.astype(np.intp) + 1)
     first = np.concatenate([[0], np.cumsum(spans + 1)])
-    at = first[counted.stroke] + place.astype(np.intp)
+    at = first[counted.stroke] + place.astype(np.intp)  # each frame's node before it, numbered on over all strokes
     share, n = place % 1.0, np.arange(len(place))
     seen, node = np.unique(np.concatenate([at, at + 1]), return_inverse=True)
     values = np.concatenate([1.0 - share, share]), (np.concatenate([n, n]), node)
@@ -286,9 +294,10 @@ def _pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
 
 
 def _shared_by_halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
-    """Variance, in units of the noise's and summed over channels, of what of the residuals left (n, channels) is
-    constant over a stroke: over strokes the mean of m1 . m2, the mean residuals of a stroke's two halves, whose noise
-    is independent. stroke (n,): each frame's stroke number. 0 where all strokes are shorter than _HALVES."""
+    """Variance of the part of the residuals left (n, channels) that is constant over a stroke, summed over channels, in
+    units of the noise's. It is the mean over strokes of m1 . m2, the mean residuals of a stroke's two halves: their
+    noise is independent and adds nothing. stroke (n,): each frame's stroke number. 0 if all strokes have fewer than
+    _HALVES frames."""
     begins = np.flatnonzero(np.diff(stroke, prepend=-1))
     ends = np.append(begins[1:], len(stroke))
     pairs = [
@@ -319,7 +328,8 @@ def contrasts(recordings: int) -> Array:
 
 
 def _same_places(counted: CountedFrames, recordings: int) -> bool:
-    """Whether all recordings show much the same positions: else what differs may be the place."""
+    """Whether all recordings show much the same positions: the range that they share is more than _MUCH of the widest.
+    If not, what differs between them may be the place."""
     spans = [counted.p[counted.recording == k] for k in range(recordings)]
     if any(len(span) == 0 for span in spans):
         return False
@@ -327,14 +337,14 @@ def _same_places(counted: CountedFrames, recordings: int) -> bool:
     return shared > _MUCH * max(float(np.ptp(span)) for span in spans)
 
 
-def _places(counted: CountedFrames) -> Array:
-    """(n, 3) constant, linear and quadratic in p: a rigid motion of the image moves each place of the path in its own
-    way."""
+def _place_polynomials(counted: CountedFrames) -> Array:
+    """(n, 3) constant, linear and quadratic in p, scaled by its mean and standard deviation. With these columns an
+    image motion may differ along the path, as a rigid motion moves each place in its own way."""
     x = (counted.p - counted.p.mean()) / max(float(np.std(counted.p)), 1e-12)
     return np.column_stack([np.ones_like(x), x, x**2 - 1])
 
 
-def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
+def _hat_functions(x: Array, nodes: Array) -> sparse.csr_matrix:
     """(n, nodes) piecewise linear basis at x (n,); 0 beyond the last node."""
     n = np.flatnonzero(x < nodes[-1])
     at = np.clip(np.searchsorted(nodes, x[n], side="right") - 1, 0, len(nodes) - 2)
@@ -344,17 +354,17 @@ def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
 
 
 def slow_basis(t: Array, spans: int) -> Sparse | None:
-    """Cubic B-splines (n, spans + 3) at times t (n,) of the session, -1/2 to 1/2. None of fewer than 2 spans: that is
-    no slower than the motion."""
+    """Cubic B-splines (n, spans + 3) at times t (n,) of the session, -1/2 to 1/2. None with fewer than 2 spans, as they
+    would be no slower than the motion."""
     if spans < 2:
         return None
     knots = -0.5 + np.arange(-3, spans + 4) / spans
     return sparse.csr_matrix(BSpline.design_matrix(np.clip(t, -0.5, 0.5 - 1e-9), knots, 3))
 
 
-def _smooth(size: int, channels: int = 1) -> Array:
-    """(channels * size, channels * size) penalty on first differences of neighbours, and a little on the values, for
-    each channel alike."""
+def _smoothness_penalty(size: int, channels: int = 1) -> Array:
+    """(channels * size, channels * size) penalty on the squared differences of neighbouring values, plus _PULL times
+    the squared values, for each channel alike."""
     step = np.diff(np.eye(size), 1, axis=0)
     rough = step.T @ step + _PULL * np.eye(size)
     return np.asarray(np.kron(np.eye(channels), rough), dtype=float)
@@ -364,8 +374,9 @@ def _smooth(size: int, channels: int = 1) -> Array:
 
 
 def _shift_time(t: Array, left: Array) -> float | None:
-    """The moment, s, at which a step of the image explains most of the residuals left (n, channels) at times t (n,), at
-    least _ENDS from either end (CUSUM statistic |S_k|^2 n / (k (n - k))); None of fewer frames than 3 _ENDS."""
+    """The time t, s, of the first frame after the step of the image that explains most of the residuals left (n,
+    channels) at times t (n,). It has the largest CUSUM statistic |S_k|^2 n / (k (n - k)), S_k the sum of the first k
+    residuals less their mean; k is at least _ENDS from either end. None with fewer than 3 _ENDS frames."""
     n = len(left)
     if n < 3 * _ENDS:
         return None
@@ -376,22 +387,26 @@ def _shift_time(t: Array, left: Array) -> float | None:
 
 
 def _slip_time(counted: CountedFrames, left: Array) -> float | None:
-    """The moment, s, from which on an offset of p explains most of the residuals left (n, channels), beside one of all
-    the session; at least _ENDS from either end. None of fewer frames than 3 _ENDS."""
+    """The session time, s, of the first frame from which on an offset of p explains most of the residuals left (n,
+    channels), beside an offset for the whole session; at least _ENDS frames from either end. None with fewer than 3
+    _ENDS frames."""
     if len(left) < 3 * _ENDS:
         return None
     pull, power = np.sum(left * counted.slope, axis=1), np.sum(counted.slope**2, axis=1)
     share = np.cumsum(power) / max(float(power.sum()), 1e-30)
     inside = slice(_ENDS, -_ENDS)
+    # The squares that such an offset explains, times the power of all frames: (S_k - a_k S)^2 / (a_k (1 - a_k)). S_k is
+    # the sum of residual times slope until frame k, a_k the share of the slopes' power until there.
     gain = (np.cumsum(pull) - share * pull.sum())[inside] ** 2 / np.maximum(share * (1.0 - share), 1e-12)[inside]
     return float(counted.time_s[int(np.argmax(gain)) + _ENDS + 1])
 
 
 def _sway_frequency(t: Array, left: Array) -> float | None:
-    """The frequency, Hz, of the largest peak of the periodogram of residuals left (n, channels) at times t (n,), s,
-    within _BREATHS_HZ and of more than _CYCLES; None where frames are few or the session is too short. It is taken of
-    as many even samples as there are frames, or more where these are apart by long gaps: _A_CYCLE of the fastest sway,
-    none closer than frames mostly are."""
+    """The frequency, Hz, of the largest peak in the periodogram of residuals left (n, channels) at times t (n,), s,
+    within _BREATHS_HZ, of which the session must hold more than _CYCLES. None with fewer than _WAVE_FEWEST frames, or
+    in a session too short for any. The residuals are interpolated to even times: as many as there are frames, or more
+    where long gaps part these, up to _A_CYCLE for a cycle of the fastest sway and never closer than the median of the
+    frames."""
     if len(t) < _WAVE_FEWEST:
         return None
     lasts = t[-1] - t[0]

@@ -1,5 +1,5 @@
-"""Reasons to doubt a calibration, from its components (components.py): what each says of the instrument, its clock and
-its camera; and the errors that all strokes share, which no scatter shows."""
+"""Reasons to doubt a calibration, from its components (components.py): what each component says of the instrument, its
+clock and its camera; and from errors of B that all strokes share, which no scatter shows."""
 
 from __future__ import annotations
 
@@ -136,10 +136,10 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 def component_reasons(
     components: Components, counted: npt.NDArray[np.bool_], usual: float, unit: str, motor_visible: bool, good: bool
 ) -> list[Reason]:
-    """A reason for each component, strongest first, then one for unexplained scatter. good: the model predicts and B is
-    known: then reasons are mild, and only components that would spoil either if they were left out are told. counted
-    (grid,): where B was measured; usual: typical B there, unit of q; motor_visible: the motor's counts or noise show in
-    the image, so that a component of turns is the encoder's."""
+    """A reason for each component, strongest first, then one for scatter that no component explains. good: the model
+    predicts and B is known; then reasons are mild, and only components are told that would spoil either if they were
+    left out. counted (grid,): where B was measured; usual: typical B there, unit of q; motor_visible: the motor's
+    counts or noise show in the image, so that a component of turns is the encoder's."""
     late = components.late_change
     reasons = []
     for part in sorted(components.parts, key=lambda each: -each.chi2):
@@ -152,24 +152,26 @@ def component_reasons(
             continue
         kind = "turn.itself" if part.name == "turn" and not motor_visible else part.name
         still = f", {late:.1f} in its last quarter" if part.name in STATES and late > 0.0 else ""
-        reasons.append(_reason(kind, part, shift, unit, still, good))
+        reasons.append(_reason_of_component(kind, part, shift, unit, still, good))
     if components.unexplained > PREDICTS:
-        reasons.append(_scatter(components, good))
+        reasons.append(_reason_of_scatter(components, good))
     return reasons
 
 
-def _reason(kind: str, part: Component, shift: float, unit: str, still: str, mild: bool) -> Reason:
-    """The reason of one component. kind: a key of _MEANS, with or without a number at its end; shift: rms by which B
-    would change without it, unit of q; still: appended to the text."""
+def _reason_of_component(kind: str, part: Component, shift: float, unit: str, still: str, mild: bool) -> Reason:
+    """The reason of one component. kind: its name or "turn.itself", a key of _MEANS once numbers and "%" at its end are
+    taken off. shift: rms by which B would change without it, unit of q; still: words that are added, of what it does at
+    the session's end."""
     code, says, remedy = _MEANS[kind.rstrip("0123456789.%")]
     return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{still})", remedy, mild=mild)
 
 
-def _scatter(components: Components, good: bool) -> Reason:
-    """The reason of residuals that no departure explains, by their look: a few frames far off (if all else is good),
-    white (noise, or unsteady frame times if it is larger while the tip moves), or correlated between neighbours."""
+def _reason_of_scatter(components: Components, good: bool) -> Reason:
+    """The reason of residuals that no departure explains. If all else is good: a few frames are far off. Else by their
+    look: white, which is unsteady frame times if they are larger while the tip moves, and noise if not; or correlated
+    between neighbours, which no known departure explains."""
     times = f"{components.unexplained:.1f} times the noise of a tip at rest is left"
-    if good:  # of most frames
+    if good:  # most frames are predicted
         says = f"some frames are far off ({components.unexplained:.1f} times the noise with them)"
         return Reason(
             "outliers", says, "look for a second blob of the marker's colour, or what disturbs the sensor", mild=True
@@ -192,9 +194,10 @@ def _scatter(components: Components, good: bool) -> Reason:
 def common_error(
     tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, usual: float, unit: str, findings: Findings
 ) -> float:
-    """The error of B, unit of q, that all strokes share, so that their scatter does not show it: of turns between the
-    motor's samples, of its readings' noise at turns, and the rms of a ripple of B. What is large is noticed in the
-    findings. grid, width, sigma (k,): B where it was measured; usual: typical B there; unit: of q."""
+    """The error of B, unit of q, that all strokes share, so that their scatter does not show it; in quadrature: the
+    motor's path between its samples at turns, its readings' noise at turns, and a ripple of B (rms). Each that is large
+    is noticed in the findings. grid, width, sigma (k,): B where it was measured; usual: typical B there; unit: of q. 0
+    with fewer than two positions."""
     if len(grid) < 2:
         return 0.0
     each = [between_samples(track.path.sampled) for track in tracks]
@@ -226,19 +229,20 @@ def common_error(
 
 
 def _faster_hz(period_s: float, between: float, allowed: float) -> float:
-    """The rate, Hz, a round number (1, 2 or 5 times a power of ten), at which straight lines between motor samples come
-    within `allowed` of its path, where they are off by `between` at samples period_s apart, both in the unit of q: the
-    error is taken to fall with the period, as at a sharp turn."""
+    """The rate, Hz, at which the motor must be sampled so that straight lines between its samples are off its path by
+    `allowed` at most. At samples period_s apart they are off by `between` (both in the unit of q), and the error is
+    taken to fall with the period, as at a sharp turn. Rounded up to 1, 2 or 5 times a power of ten."""
+    # At 1 / period_s samples a second the error is `between`; it falls with the period.
     least = between / max(allowed, _FINEST * between) / period_s
     decade = 10.0 ** math.floor(math.log10(least))
     return decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9))
 
 
 def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[float, float]:
-    """(rms, period), both in the unit of q, of a sine of constant amplitude in B; rms 0 where the restricted likelihood
-    does not gain REML_GAIN (of twice its logarithm) by it. B width (k,) with sigma (k,) at grid (k,) is a cubic
-    smoothing spline, its smoothing the likeliest with and without the sine, plus the sine, whose two amplitudes have
-    the prior N(0, usual^2) and whose frequency any of _RATES values alike."""
+    """(rms, period), both in the unit of q, of a sine of constant amplitude in B; rms 0 if the restricted likelihood
+    does not gain REML_GAIN (of twice its logarithm) by it. B width (k,) with sigma (k,) at grid (k,) is modelled as a
+    cubic smoothing spline, with the likeliest smoothing with and without the sine, plus the sine. Its two amplitudes
+    (cosine, sine) have the prior N(0, usual^2), and each of _RATES frequencies is as likely as any other."""
     at = np.linspace(grid[0], grid[-1], _PLACES)
     y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
     basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)

@@ -51,34 +51,37 @@ class Jump:
     deviance: float
 
 
-def _window(x: Array, y: Array, *, jump: bool = False) -> _native.Hinge:
-    """The window of travel x (n,) and whitened y (n, channels), with the priors of paths from straight to bent.
-    jump: with one more unknown, a jump at the knot."""
+def _native_hinge(x: Array, y: Array, *, jump: bool = False) -> _native.Hinge:
+    """Prepares frames for the native fits: travel x (n,), whitened y (n, channels) less its first frame, and the
+    priors: standard deviations of the path's bend from straight (_LEAST_BEND, in noises) to bent (_MOST_BEND times y's
+    swing), evenly spaced in their logarithm. jump: adds a jump at the knot as an unknown."""
     centred = y - y[:1]
     swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
     bends = _LEAST_BEND * (_MOST_BEND * swing / _LEAST_BEND) ** _EVENLY
-    steep = (_MOST_BEND * swing) ** -2
+    steep = (_MOST_BEND * swing) ** -2  # prior precision of the path's slope over the window
     return _native.Hinge(x, centred, _PIECES, jump, _FLAT, steep, bends**-2, _SPREAD, _BACKWARDS)
 
 
 def fit_hinge(x: Array, y: Array, high: float) -> Hinge:
-    """The posterior of the knot, within [0, high], of y (n, channels) at motor travel x (n,) since the turn."""
-    knot, sigma, deviance, chi2, used, slope = _window(x, y).knot(high)
+    """The hinge: the posterior of its knot, within [0, high], for whitened y (n, channels) at motor travel x (n,), unit
+    of q, since the turn."""
+    knot, sigma, deviance, chi2, used, slope = _native_hinge(x, y).knot(high)
+    # `used`: effective number of the path's parameters, for each channel; one more for the knot.
     freedom = max(1.0, (len(x) - used) * y.shape[1] - 1.0)
     return Hinge(knot, sigma, deviance, chi2, freedom, slope / max(float(x.max()), 1e-12))
 
 
 def fit_jump(x: Array, y: Array, high: float, knot: float = 0.0) -> Jump:
-    """The best jump, between neighbouring frames with x within [0, high] (and from 0 to the first of them),
-    followed by a free path. Its bracket reaches from the first to the last one whose deviance is within _CREDIBLE of
-    the best. Tried are some evenly, those around the best hinge's knot, and all around what may be the jump. x (n,), y
-    (n, channels); deviance inf where no frames bracket it."""
+    """The best jump of whitened y (n, channels), followed by a free path, between neighbouring frames with travel x
+    (n,) within [0, high]; the bracket before the first of them begins at 0. The result's bracket reaches from the first
+    to the last one whose deviance is within _CREDIBLE of the best. The search tries evenly spaced brackets, those
+    around the best hinge's knot, and all near the ones that may be the jump. Deviance inf if no frames bracket it."""
     edges = np.unique(np.append(x, 0.0))
     edges = edges[(edges >= 0.0) & (edges <= high)]
     if len(edges) < 2:
         return Jump(0.0, high, 0.0, np.inf)
     around = max(int(np.searchsorted(0.5 * (edges[1:] + edges[:-1]), knot)) - 1, 0)
-    each, sizes = _window(x, y, jump=True).jumps(edges, around, _CREDIBLE)
+    each, sizes = _native_hinge(x, y, jump=True).jumps(edges, around, _CREDIBLE)
     best = int(np.argmin(each))
     near = np.flatnonzero(each < each[best] + _CREDIBLE)
     return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), float(sizes[best]), float(each[best]))

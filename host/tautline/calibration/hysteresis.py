@@ -52,37 +52,37 @@ class HysteresisFit:
     spread: Array | None = None  # (grid,) standard deviation of B, unit of q, by the unknowns' uncertainty
 
     def evidence(self, frames_each: float) -> float:
-        """Log evidence but for a constant, by Schwarz's approximation: -N log(rms) - k/2 log N, N the number of
-        independent residuals, k the unknowns, the noise's size integrated out. frames_each: frames for each independent
-        one."""
+        """Log evidence but for a constant, by Schwarz's approximation: -N log(rms) - k/2 log N, with N the number of
+        independent residuals and k that of the hysteresis's unknowns; the noise's size is integrated out. frames_each:
+        how many frames tell as much as one independent frame."""
         number = self.fitted.frames / max(frames_each, 1.0) * self.fitted.residuals[0].shape[1]
         rms = max(rms_over_noise(self.fitted), 1e-9)
         return float(-number * np.log(rms) - 0.5 * self.unknowns * np.log(number))
 
 
 def most_evidence(candidates: list[HysteresisFit], frames_each: float) -> HysteresisFit:
-    """The one of most evidence. frames_each: frames for each independent one, alike for all."""
-    scale = min(one.fitted.scale for one in candidates)  # outliers are cut alike in all
-    alike = [replace(one, fitted=replace(one.fitted, scale=scale)) for one in candidates]
-    return candidates[int(np.argmax([one.evidence(frames_each) for one in alike]))]
+    """The candidate with the largest evidence. frames_each: frames for each independent one, the same for all."""
+    scale = min(candidate.fitted.scale for candidate in candidates)  # outliers are cut alike in all
+    alike = [replace(candidate, fitted=replace(candidate.fitted, scale=scale)) for candidate in candidates]
+    return candidates[int(np.argmax([candidate.evidence(frames_each) for candidate in alike]))]
 
 
 def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool) -> HysteresisFit | None:
-    """The joint fit with friction of this kind, descended from each of the starts, of which the best goes on, with its
-    smoothing adapted twice more; its scale is what friction leaves. None where no frame counts: its start is felt
-    throughout."""
+    """The joint fit with friction of this kind (BOUC_WEN or DAHL). It is descended from each of the starts; the best
+    goes on, descending _AGAIN times more after its smoothing was adapted. Its scale is what friction leaves. None if no
+    frame counts: with a friction whose start is felt throughout."""
     scale = max(start.scale for start in starts)  # outliers are cut alike in all, and not before a fit is done
     mean = PRIORS[kind][0]
     descended = []
     for start in starts:
         fit = replace(start.fit, fit_delay=fit_delay, smoothing=dict(start.fit.smoothing))
-        descended.append(_descended(_with(replace(start, fit=fit, scale=scale), kind, mean), rig, kind, mean))
+        descended.append(_descended(_with_friction(replace(start, fit=fit, scale=scale), kind, mean), rig, kind, mean))
     state, unknowns = min(descended, key=lambda pair: rms_over_noise(pair[0]))
     for _ in range(_AGAIN):
         if not np.isfinite(state.scale):
             return None
         solved = state.fit.solve(state.curves, iterations=_SMOOTHED)
-        state = _with(replace(state, fit=solved.fit, curves=solved.curves), kind, unknowns)
+        state = _with_friction(replace(state, fit=solved.fit, curves=solved.curves), kind, unknowns)
         state, unknowns = _descended(state, rig, kind, unknowns)
     if not np.isfinite(state.scale):
         return None
@@ -92,8 +92,8 @@ def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool)
 
 
 def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fitted, Array]:
-    """The joint fit and the unknowns after damped Gauss-Newton steps; its scale is what it leaves, infinite where no
-    frame counts."""
+    """The joint fit and the unknowns (k,) after damped Gauss-Newton steps. The fit's scale becomes what it leaves,
+    infinite if no frame counts."""
     power = frame_powers(state)
     for _ in range(_STEPS):
         state = replace(state, scale=rms_of_frame_powers(power, state.scale))
@@ -103,7 +103,9 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
         moved, step, _ = _step(state, rig, kind, unknowns)
         for share in _SHARES:
             trial_unknowns = unknowns + share * step
-            trial = _with(replace(state, curves=interpolated(state.curves, moved, share)), kind, trial_unknowns)
+            trial = _with_friction(
+                replace(state, curves=interpolated(state.curves, moved, share)), kind, trial_unknowns
+            )
             trial_power = frame_powers(trial)
             cost = _cost(trial_power, trial, kind, trial_unknowns)
             if cost < least:
@@ -117,22 +119,23 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
 
 
 def _cost(power: Array, state: Fitted, kind: str, unknowns: Array) -> float:
-    """Mean square of the residuals over noise, outliers cut, plus the unknowns' squared distance from their prior per
-    frame; infinite where no frame counts. power: the state's `frame_powers`."""
+    """Mean square of the residuals over noise, outliers cut, plus the prior's cost: the unknowns' squared distance from
+    the prior mean, in prior sigmas, times scale^2 over the number of frames. Infinite if no frame counts. power: the
+    state's `frame_powers`."""
     mean, sigma = PRIORS[kind]
     prior = float(np.sum(((unknowns - mean) / sigma) ** 2)) / max(state.frames, 1)
     return rms_of_frame_powers(power, state.scale) ** 2 + state.scale**2 * prior
 
 
-def _with(state: Fitted, kind: str, unknowns: Array) -> Fitted:
-    """The joint fit with friction of these unknowns in place of its hysteresis, nothing fitted yet."""
-    friction = _friction(kind, unknowns, _reached(state))
+def _with_friction(state: Fitted, kind: str, unknowns: Array) -> Fitted:
+    """The joint fit with friction of these unknowns (k,) as its hysteresis; nothing is fitted yet."""
+    friction = _friction(kind, unknowns, _width_where_reached(state))
     return replace(state, fit=replace(state.fit, hysteresis=friction, smoothing=state.fit.smoothing))
 
 
-def _reached(state: Fitted) -> Array:
-    """(reached,) B, unit of q, at the grid's positions between the least and the greatest that the motor took; all of
-    B, (grid,), where no position is."""
+def _width_where_reached(state: Fitted) -> Array:
+    """(reached,) B, unit of q, at those positions of the grid that are within the motor's range of motion; all of B,
+    (grid,), if none is."""
     fit = state.fit
     q = np.concatenate([prepared.corner_q for prepared in fit.tracks])
     inside = (fit.grid >= q.min()) & (fit.grid <= q.max())
@@ -141,21 +144,22 @@ def _reached(state: Fitted) -> Array:
 
 
 def _friction(kind: str, unknowns: Array, width: Array) -> Friction:
-    """The friction of these unknowns (k,) on B width (n,), unit of q. Its length L(q) = length + share B(q) is scaled
-    so that the tip starts with expit(u[0]) of its later slope where it starts slowest, which keeps it from going
-    backwards: leaving an envelope it has 1 - steepest B / (2 L) of that slope, as it is off the motor by z B / 2."""
-    start, part = float(expit(unknowns[0])), float(unknowns[1])
+    """The friction of unknowns u (k,) on B width (n,), unit of q. Its length L(q) = length + share B(q) has the
+    proportions of u[1] and is scaled so that the tip starts with expit(u[0]) of its later slope where it starts
+    slowest. Leaving an envelope it has 1 - steepest B / (2 L) of that slope, as the tip is off the motor by z B / 2; as
+    expit is positive, it never goes backwards."""
+    start, part_of_width = float(expit(unknowns[0])), float(unknowns[1])
     exponent = float(np.exp(unknowns[2]))
     beta = float(expit(unknowns[3])) if kind == BOUC_WEN else 1.0
     usual = max(float(np.mean(width)), 1e-12)
-    relative = np.maximum(1.0 - part + part * width / usual, _THIN)
+    relative = np.maximum(1.0 - part_of_width + part_of_width * width / usual, _THIN)
     steepest = Friction(kind, 1.0, 0.0, exponent, beta).steepest
-    whole = 0.5 * steepest * float(np.max(width / relative)) / max(1.0 - start, 1e-9)
-    return Friction(kind, (1.0 - part) * whole, part * whole / usual, exponent, beta)
+    mean_length = 0.5 * steepest * float(np.max(width / relative)) / max(1.0 - start, 1e-9)
+    return Friction(kind, (1.0 - part_of_width) * mean_length, part_of_width * mean_length / usual, exponent, beta)
 
 
-def _by_unknown(kind: str, unknowns: Array, width: Array) -> Array:
-    """(values of Friction, unknowns) derivatives of `_friction`, by central differences."""
+def _friction_by_unknowns(kind: str, unknowns: Array, width: Array) -> Array:
+    """(values of Friction, unknowns) derivatives of `_friction` with B width (n,), by central differences."""
     columns = []
     for i in range(len(unknowns)):
         away = np.zeros(len(unknowns))
@@ -171,7 +175,7 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
     counted = counted_frames(state, state.curves, rig, np.zeros(2))
     assert counted is not None  # it was fitted to frames
     fit, scale = state.fit, max(state.scale, 1e-6)
-    by_unknown = _slopes(state, counted) @ _by_unknown(kind, unknowns, _reached(state))
+    by_unknown = _place_by_friction(state, counted) @ _friction_by_unknowns(kind, unknowns, _width_where_reached(state))
     gram, gradient, size = normal_with_columns(fit, counted, by_unknown)
     penalty, pull = fit.penalty(state.curves, scale)
     mean, sigma = PRIORS[kind]
@@ -182,24 +186,26 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
     diagonal = np.diag_indices_from(gram)
     gram[diagonal] += _RIDGE * float(np.mean(gram[diagonal][:size]))
     step: Array = np.asarray(np.linalg.solve(gram, gradient), dtype=np.float64)
+    # How many times longer than allowed the step of the unknowns is; the whole step is shortened.
     too_far = float(np.max(np.abs(step[size:]) / (_LONGEST * sigma)))
     step = np.asarray(step / max(too_far, 1.0), dtype=np.float64)
-    return fit.moved(state.curves, step[:size]), step[size:], _spread(state, gram, size)
+    return fit.moved(state.curves, step[:size]), step[size:], _width_sigma_by_unknowns(state, gram, size)
 
 
-def _spread(state: Fitted, gram: Array, size: int) -> Array:
-    """(grid,) standard deviation of B, unit of q, by the unknowns alone: dB/du C dB/du', C their covariance with the
-    curves eliminated, dB/du how the curves follow them. gram (m, m): normal matrix with priors, `size` of its unknowns
-    the curves'."""
+def _width_sigma_by_unknowns(state: Fitted, gram: Array, size: int) -> Array:
+    """(grid,) standard deviation of B, unit of q, by the uncertainty of the friction's unknowns u alone: the diagonal
+    of D C D', with C their covariance once the curves are eliminated (Schur complement), and D = dB/du how B follows
+    them. gram (m, m): normal matrix with priors, whose first `size` unknowns are the curves'."""
     fit, scale = state.fit, max(state.scale, 1e-6)
+    # Curves eliminated: they follow the unknowns by -G_cc^-1 G_cu, whose sign does not matter here.
     follows = np.linalg.solve(gram[:size, :size], gram[:size, size:])
     schur = gram[size:, size:] - gram[size:, :size] @ follows
     by = fit.backlash.design(fit.grid) @ follows[fit.layout(state.curves).backlash]
     return np.asarray(scale * np.sqrt(np.maximum(np.sum((by @ np.linalg.inv(schur)) * by, axis=1), 0.0)))
 
 
-def _slopes(state: Fitted, counted: CountedFrames) -> Array:
-    """(counted frames, values of Friction) derivatives of p by the friction's values."""
+def _place_by_friction(state: Fitted, counted: CountedFrames) -> Array:
+    """(counted frames, values of Friction) derivatives of the tip's place p by the friction's values."""
     fit, curves = state.fit, state.curves
     native = Play(fit.grid, fit.width(curves), fit.hysteresis).native
     far = 10.0 * float(np.abs(fit.grid).max() + np.ptp(fit.grid))

@@ -1,8 +1,7 @@
-"""How well a track fits its motor at any lag, by how much the sensor's times are later than the motor's, s.
+"""How well a track fits its motor at any lag. A lag is by how much the sensor's times are later than the motor's, s.
 
-A play of constant width and a polynomial of fifth order are fitted to what the sensor saw. The share of the variance of
-y that they leave is the misfit: it needs no pose, no camera and no model of the instrument.
-"""
+At each lag a play of constant width and a polynomial of fifth order are fitted to what the sensor saw. The misfit is
+the share of the variance of y that they leave: it needs no pose, no camera and no model of the instrument."""
 
 from __future__ import annotations
 
@@ -64,8 +63,9 @@ class LagScan:
 
     @classmethod
     def of(cls, track: Track, rig: Rig, most: int) -> LagScan | None:
-        """The track thinned to at most `most` frames. None with fewer than FEWEST, where nothing moves clearly by more
-        than noise (_NOISY), or where other axes rest for a smaller share of the frames than _RESTS."""
+        """The track thinned out evenly to at most `most` frames. None if it has fewer than FEWEST frames, if motor or y
+        do not move, if noise makes more than _NOISY of y's variance, or if other axes rest for less than _RESTS of the
+        frames."""
         motor = track.motor
         span = float(np.ptp(motor.q))
         variance = float(np.mean(np.var(track.y, axis=0))) if len(track.t_s) else 0.0
@@ -90,8 +90,9 @@ class LagScan:
         return cls(few, motor.t_s[keep], motor.q[keep], low, span, share, reference, coarse_direction)
 
     def least_misfits(self, lags: npt.NDArray[Any]) -> Array:
-        """The least misfit over all widths at each of lags (n,), s, which follow each other closely: the best width
-        moves by one place of WIDTHS at most from lag to lag, so all of them are tried only every _ANEW lags."""
+        """The least misfit over all WIDTHS at each of the lags (n,), s, in rising order and close to each other. From
+        one lag to the next the best width moves by one of WIDTHS at most, so only neighbours are tried; all of them
+        every _ANEW lags."""
         least, at = np.empty(len(lags)), 0
         for i, lag in enumerate(lags):
             near = range(len(WIDTHS)) if i % _ANEW == 0 else range(max(at - 1, 0), min(at + 2, len(WIDTHS)))
@@ -101,20 +102,21 @@ class LagScan:
         return least
 
     def moves_as_coarse(self, lag_s: float) -> bool:
-        """Whether y rises with the play's centre the way that f_coarse says, at a lag in s."""
+        """Whether, at a lag in s, y moves the way that f_coarse says as the play's centre rises. If not, the lag may be
+        off by half a cycle of the motion."""
         width = min(WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span)) * self.span
         return bool(self._polynomial_fit(lag_s, width)[1] @ self.coarse_direction > 0.0)
 
     def misfit(self, lag_s: float, width: float) -> float:
-        """Share of the variance of y that is left at a lag, s, and a play's width, unit of q; infinite where the
-        motor's record covers fewer than half of the frames."""
+        """Share of the variance of y that is left at a lag, s, and a play's width, unit of q; infinite if fewer than
+        half of the frames count (`_polynomial_fit`)."""
         return self._polynomial_fit(lag_s, width)[0]
 
     def _polynomial_fit(self, lag_s: float, width: float) -> tuple[float, Array]:
         """Least squares of y by a Chebyshev polynomial of order _ORDER in p, the centre of a play of this width, unit
-        of q, at a lag, s: the misfit, and the coefficients of the linear term (channels,). inf and 0 where fewer than
-        half of the frames count: those that the motor's record covers, once the play has forgotten its start (run from
-        below and from above it is at one place)."""
+        of q, at a lag, s. Returns the misfit and the coefficients of the linear term (channels,). Frames count if the
+        motor's record covers them and the play has forgotten its start (it is at one place whether run from below or
+        from above). (inf, zeros) if fewer than half of the frames count."""
         q, frame, inside = self._driven(lag_s)
         grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
         plays = _native.Plays(grid, np.full(2, width))
@@ -134,11 +136,12 @@ class LagScan:
         return max(1.0 - float(np.sum(pull * coefficients)) / total, 0.0), coefficients[1]
 
     def _driven(self, lag_s: float) -> tuple[Array, npt.NDArray[np.intp], Mask]:
-        """The motor's positions (m,), unit of q, at its turns and at the frames, in order of time at a lag, s; which
-        frame each is, below 0 for a turn; and whether it is a frame that the motor's record covers. Kept until another
-        lag is asked for: a search tries several widths at each."""
+        """What a play is driven with at a lag, s, in order of time: the motor's positions (m,), unit of q, at its turns
+        and at the frames; the index of the frame (negative: a turn); and whether it is a frame that the motor's record
+        covers. Kept in `last` until another lag is asked for, as a search tries several widths at each."""
         if lag_s not in self.last:
             track, scene, turns = self.track, self.track.scene_s(lag_s), len(self.turn_t)
+            # Turns come first in what is sorted, so a place less their number is a frame's index.
             order = np.argsort(np.concatenate([self.turn_t, scene]), kind="stable")
             inside = track.within_motor(scene)
             if self.reference is not None:
@@ -156,8 +159,8 @@ class LagScan:
         return moves
 
     def minimum_near(self, lag_s: float) -> Minimum:
-        """The minimum of the misfit over lag and width near lag_s: a step of either to both sides is tried, and taken
-        where it leaves less, with smaller steps from round to round."""
+        """The minimum of the misfit over lag and width near lag_s, s, by a pattern search: lag and width are stepped
+        both ways, a step that leaves less is taken, and steps become smaller from round to round."""
         width = self.span * min(WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span))
         step_s, step = PITCH_S, _STEP * width + _STEP_OF_SPAN * self.span
         best = self.misfit(lag_s, width)

@@ -1,6 +1,5 @@
-"""Doubts about what was measured, before it is predicted with: a motion that tells too little, a tip whose place is not
-known, a rig that is not of this set-up.
-"""
+"""Doubts about what was measured, before anything is predicted with it: a motion that tells too little, a tip whose
+place is not known, a rig that is not of this set-up."""
 
 from __future__ import annotations
 
@@ -25,14 +24,32 @@ _LARGE = 0.1  # tolerance: of the image's motion (rms): a registration that is o
 
 
 def doubt_onsets_and_remaining(found: Measured) -> None:
-    """Notes and doubts about onsets and f_remain: no turn, no onset, reversals that do not count, a tip that did not
-    move, a rig that does not fit. Where B is known without an onset its own sigma and its predictions judge it."""
-    onsets, remaining, known_otherwise = found.onsets, found.remaining, found.source in (JOINT, PASSES)
+    """Adds notes and doubts about onsets and f_remain: no turn, no onset, reversals that were not used, a tip that did
+    not move, a rig that does not fit."""
     if found.options.beforehand is not None:
         found.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
-    if stray := sum(track.stray for track in found.tracks):
+    if strays := sum(track.stray for track in found.tracks):
         elsewhere = "frames show the marker" if found.camera else "values are"
-        found.findings.notes.append(f"{stray} {elsewhere} elsewhere for a while: left out")
+        found.findings.notes.append(f"{strays} {elsewhere} elsewhere for a while: left out")
+    _doubt_onsets(found)
+    remaining = found.remaining
+    if remaining is None:
+        found.findings.doubt(
+            "coverage",
+            "the tip was never seen to move, f_remain is f_coarse",
+            "move by more than the backlash, within the view",
+            fatal=True,
+        )
+        return
+    found.findings.notes += remaining.notes
+    _doubt_rig(found, remaining)
+
+
+def _doubt_onsets(found: Measured) -> None:
+    """Adds a fatal doubt if the motor never turned, a doubt if no reversal showed an onset, and notes on why reversals
+    were not used. The second is mild if B is known otherwise (by the joint fit or the passes), whose own sigma and
+    predictions judge it, unless a stroke moved nothing."""
+    onsets, known_otherwise = found.onsets, found.source in (JOINT, PASSES)
     if not onsets:
         found.findings.doubt(
             "coverage", "the motor never turned back", "move back and forth by more than B", fatal=True
@@ -52,21 +69,12 @@ def doubt_onsets_and_remaining(found: Measured) -> None:
     for reason in dict.fromkeys(o.reason for o in onsets if o.reason and not o.used):
         count = sum(o.reason == reason and not o.used for o in onsets)
         found.findings.notes.append(f"{count} of {len(onsets)} reversals not used: {reason}")
-    if remaining is None:
-        found.findings.doubt(
-            "coverage",
-            "the tip was never seen to move, f_remain is f_coarse",
-            "move by more than the backlash, within the view",
-            fatal=True,
-        )
-        return
-    found.findings.notes += remaining.notes
-    _doubt_rig(found, remaining)
 
 
 def doubt_place(found: Measured) -> None:
-    """Doubts f_remain, not B, where what is seen is no marker at a known place: by the tip's own camera, or a place
-    on it that was shown."""
+    """Adds a doubt about f_remain, not B, if what was followed is no marker at a known place: what the tip's own camera
+    sees, or a place on a bare tip that was shown. It is mild for such a place if the angles' sigma by it is at most
+    _TOLD of their span."""
     place, remaining = found.rig.place, found.remaining
     if remaining is None:
         return
@@ -100,8 +108,8 @@ def doubt_place(found: Measured) -> None:
 
 
 def _doubt_rig(found: Measured, remaining: Remaining) -> None:
-    """Doubts the rig where f_remain's mean slope has not about f_coarse's sign and size, or the marker is not where
-    the rig puts it: before anything else is blamed."""
+    """Adds doubts about the rig if f_remain's mean slope has another sign than f_coarse's or is not of its size
+    (_LIKELY_GAIN), or if the marker is not where the rig puts it. Adds `gain` and `residual` to the evidence."""
     p = np.clip(found.grid, *found.reached)
     c = np.interp(p, found.grid, remaining.c_deg)
     gain = float(np.polyfit(p, c, 1)[0]) if np.ptp(p) > 0 else found.rig.coarse.gain
@@ -127,7 +135,7 @@ def _doubt_rig(found: Measured, remaining: Remaining) -> None:
 
 
 def _remedy_of_scale(found: Measured, ratio: float) -> str:
-    """What to check where the tip bends `ratio` times what f_coarse says."""
+    """What to check, in words, if the tip bends `ratio` times as much as f_coarse says."""
     if name := mistaken_unit(ratio, found.unit, _UNIT_SLACK):
         return f"a motor in {name} looks like this: write q_{found.unit} of motor.csv in {found.unit}"
     if found.camera:
@@ -144,9 +152,10 @@ def _misplaced(found: Measured, residual: float) -> bool:
 
 
 def _doubt_registration(found: Measured, residual: float, ratio: float, p: Array, c: Array) -> None:
-    """Doubts the registration: the marker is residual (px, rms) off the rig's path. Fatal where f_remain had to be
-    bent beyond belief to come even so near: then no angle means anything. ratio: f_remain's slope over f_coarse's;
-    c (n,): f_remain in deg at p (n,)."""
+    """Adds a doubt about the registration: the marker is `residual` (px, rms) off the rig's path. It is fatal if
+    f_remain also had to leave f_coarse by more than is likely and the residual is not small against the image's motion:
+    then no angle means anything. ratio: f_remain's slope over f_coarse's; c (n,): f_remain, deg, at p (n,), unit of
+    q."""
     coarse = found.rig.coarse
     bent = float(np.max(np.abs(c - (coarse.gain * p + coarse.offset))))
     whole = abs(coarse.gain) * float(np.ptp(p))

@@ -87,7 +87,7 @@ class _Setting:
 
     @property
     def framed(self) -> bool:
-        """Whether the delay is a camera's: of frames that are still after a turn."""
+        """Whether the delay is a camera's, the rig's or the tip's own: its images stand still after a turn."""
         return self.camera or self.rig.sees_from_tip
 
     @property
@@ -102,7 +102,7 @@ class _Setting:
 
     @property
     def choice(self) -> Choice:
-        """What weighs the opinions of B against each other."""
+        """A `Choice` of B between its opinions, with these tracks and findings."""
         return Choice(self.tracks, self.domain, self.grid, self.unit, self.findings)
 
 
@@ -136,7 +136,8 @@ class Measured(_Setting):
 
     @property
     def departs(self) -> bool:
-        """Whether the recordings show more than B, path and delay, a motor's counts, a tracker's error and noise."""
+        """Whether the recordings show more than B, path, delay and noise: an unexplained residual above PREDICTS, or a
+        component other than those of the sensors (a motor's counts, a tracker's error)."""
         found = self.components
         return found is not None and (
             found.unexplained > PREDICTS or any(part.name not in _OF_SENSORS for part in found.parts)
@@ -150,8 +151,8 @@ class Measuring(_Setting):
     def __init__(
         self, aligned: clock.AlignedTracks, rig: Rig, options: Options, say: Progress, reasons: Sequence[Reason] = ()
     ) -> None:
-        """say: told of progress; reasons: doubts that were found before. The grid covers the rig's range and what the
-        motor reached beyond it, or the latter alone where the range is in another unit."""
+        """say: is told the progress; reasons: doubts that were found before. The grid covers the rig's range and what
+        the motor reached beyond it by more than half a count; only what it reached if the range is in another unit."""
         self.aligned, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
         self.findings = Findings([*aligned.reasons, *reasons], list(aligned.notes))
@@ -170,7 +171,7 @@ class Measuring(_Setting):
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
 
     def run(self) -> Measured:
-        """Measures the delay, onsets, B and f_remain in turn. TautError where the motor does not move."""
+        """Measures delay, onsets, B and f_remain in turn. Raises TautError if the motor does not move."""
         if self.reached[1] - self.reached[0] < max(
             _MOVES * self.rig.actuator.encoder_resolution, LITTLE * self.domain.span
         ):
@@ -205,10 +206,10 @@ class Measuring(_Setting):
         return self._measured(onsets, delay, curve, joint_fit, passes, width, sigma, source, remaining)
 
     def run_with_effects(self, before: Measured, told: start.Start) -> Measured | None:
-        """What `run` finds, with the effects that a diagnosis named fitted together with B, path and delay. told: the
-        diagnosis, which has the effects, its nominal model and the load at which that holds; before: the run without
-        them. If an effect has several forms each is fitted, and the most probable one counts. None where they cannot be
-        fitted."""
+        """What `run` finds, with the effects that a diagnosis named fitted together with B, path and delay. before: the
+        run without effects; told: the diagnosis, with the effects, its nominal model and the load at which that holds.
+        If an effect has several forms each is fitted; the most probable one counts, and the others add to the sigmas of
+        B and delay. None if there is no joint fit, or none of the effects can be fitted."""
         if before.joint_fit is None:
             return None
         named = told.effects
@@ -247,9 +248,9 @@ class Measuring(_Setting):
         return self._measured(onsets, delay, curve, joint_fit, None, width, sigma, JOINT, remaining)
 
     def _width_extrapolated_to_rest(self, joint_fit: Fitted) -> float:
-        """How far B is extrapolated where it follows the motor's speed, unit of q: what the fitted laws add to B at the
-        slowest tenth of the moving frames that count, as a width by speed or as drag beside friction. The tables hold B
-        of slow strokes, and below that speed only the law tells it. 0 where B follows no speed."""
+        """How far B is extrapolated to slow strokes, unit of q, if it follows the motor's speed: what the fitted laws
+        (a width by speed, drag beside friction) add to B at the slowest tenth of the counted moving frames. Tables hold
+        B of slow strokes, and below that speed only the law tells it. 0 if B follows no speed."""
         effects, values = joint_fit.effects_and_values
         laws = {effect.id: effect.parameters for effect in effects.to_effects(values)}
         pairs = zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)
@@ -265,7 +266,7 @@ class Measuring(_Setting):
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None, joint_fit: Fitted | None,
         passes: Fitted | None, width: Array, sigma: Array, source: str, remaining: Remaining | None,
     ) -> Measured:  # fmt: skip
-        """What was measured, with all that the steps found on their way."""
+        """The `Measured` of these results, with what the steps have left in this object."""
         return Measured(
             self.aligned, self.rig, self.options, self.findings, self.domain, self.reached, self.grid, self.tracks,
             onsets, delay, curve, joint_fit, passes, width, sigma, source, remaining,
@@ -276,9 +277,10 @@ class Measuring(_Setting):
     def _fit_with_effects(
         self, before: Fitted, nominal: Model, delay_s: float, effects: FittedEffects, values: Array
     ) -> Fitted:
-        """The joint fit with effects, started from the nominal model's B, a delay, s, and values (m_e,) of theirs.
-        Frames before the tip was driven both ways do not count: what effects did until then is not known. before: the
-        joint fit without effects."""
+        """The joint fit with effects. It starts from the nominal model's B, a delay, s, values (m_e,) of the effects
+        and the path that fits best with these. Frames before the tip was driven both ways do not count, as it is not
+        known what effects did until then. Its covariance allows for errors of place and of the effects' laws. before:
+        the joint fit without effects."""
         fit_delay = self.options.delay_s is None
         prepared = prepare_tracks(self._on_one_curve(delay_s), delay_s)
         basis = before.fit.backlash
@@ -297,13 +299,15 @@ class Measuring(_Setting):
         joint_fit = fit.solve(path_only.step(curves, *path_only.residuals(curves)))
         joint_fit = allowing_for_place(joint_fit, place_noise(joint_fit))
         joint_fit = allowing_for_wander(joint_fit)
+        # dB/d(delay) along the posterior: cov(B, delay) / var(delay); the delay is the last unknown.
         block, delay_variance = fit.layout(joint_fit.curves).backlash, joint_fit.covariance[-1, -1]
         width_by_delay = basis.design(self.grid).toarray() @ joint_fit.covariance[block, -1] / delay_variance
         return replace(joint_fit, width_by_delay=width_by_delay) if fit_delay and delay_variance > 0.0 else joint_fit
 
     def _refit_with_own_law(self, before: Fitted, joint_fit: Fitted) -> Fitted:
-        """The joint fit with effects once more, what adds to the bending angle being turned into a place along the path
-        by the f_remain that the first fit leaves. before: the joint fit without effects."""
+        """The joint fit with effects once more, with the f_remain that the first one (joint_fit) leaves: by f_remain
+        what effects add to the bending angle is turned into a way along the path. The first fit itself if no f_remain
+        can be fitted. before: the joint fit without effects. Sets `effects`."""
         self.effects = effects, values = joint_fit.effects_and_values
         width, delay_s = joint_fit.fit.width(joint_fit.curves), joint_fit.curves.delay_s
         remaining = self._remaining(width, delay_s, joint_fit.fit.settled_only)
@@ -313,8 +317,10 @@ class Measuring(_Setting):
         return self._fit_with_effects(before, law, delay_s, replace(effects, law=law), values)
 
     def _leave_out_held_places(self) -> None:
-        """Leaves out frames at which the tracker repeated a place that the tip had left; sets their share, `held`."""
-        if not self.camera:  # an angle sensor has no tracker: what it repeats is its own, or a joint that sticks
+        """Leaves out of `tracks` the frames at which the tracker repeated a place that the tip had left, and sets
+        `held`, their share. Does nothing for an angle sensor, whose repeats are its own or those of a joint that
+        sticks."""
+        if not self.camera:
             return
         before = sum(len(track.t_s) for track in self.tracks)
         self.tracks = without_held_places(
@@ -325,8 +331,8 @@ class Measuring(_Setting):
     # ---- delay and onsets
 
     def _first_delay(self) -> Delay:
-        """The delay to begin with: the one that is given; else of a camera by the image's stops, of an angle sensor by
-        all its values."""
+        """The delay to begin with: the given one, with sigma 0; else a camera's by the image's stops, an angle sensor's
+        by all its values."""
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.framed:
@@ -334,23 +340,23 @@ class Measuring(_Setting):
         return clock.delay_of_stops(self.tracks, self.rig)
 
     def _delay_of_joint_fit(self, stops: Delay, joint_fit: Fitted) -> Delay:
-        """The joint fit's delay and its sigma, s, to which the rounding of the motor's counts at turns adds: an error
-        of time at the motor's speed, its own at each of the `stops`. Where the delay was not fitted the sigma is that
-        of the stops, for the nominal delay a frame's period at most. It is infinite where the tip moves at no
-        frame."""
+        """The joint fit's delay, s, with a sigma. To the fit's own sigma is added the rounding of the motor's counts at
+        turns: an error of time at the motor's median speed, independent at each of the stops. If the delay was not
+        fitted the sigma is that of `stops`, for the nominal delay a frame's period at most. inf if the tip moves at no
+        frame. stops: the delay by the image's stops, or what stood for it."""
         speeds = np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])
         if not len(speeds):
             return Delay(joint_fit.curves.delay_s, np.inf, stops.stops)
         speed = float(np.median(speeds))
-        counts = of_rounding(self.rig.actuator.encoder_resolution) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
+        rounding_s = of_rounding(self.rig.actuator.encoder_resolution) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
         own = joint_fit.delay_sigma
         if not joint_fit.fit.fit_delay:
             at_nominal = joint_fit.curves.delay_s == self.nominal_s
             own = min(stops.sigma_s, period_s(self.tracks)) if at_nominal else stops.sigma_s
-        return Delay(joint_fit.curves.delay_s, float(np.hypot(own, counts)), stops.stops)
+        return Delay(joint_fit.curves.delay_s, float(np.hypot(own, rounding_s)), stops.stops)
 
     def _onsets(self, delay: Delay) -> tuple[list[Onset], WidthCurve | None]:
-        """All onsets at this delay, and the curve of B through their widths, if any is known."""
+        """All onsets at this delay, and the curve of B through their widths; None if there are no widths."""
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         return onsets, fit_widths(onsets, self.grid)
 
@@ -366,8 +372,8 @@ class Measuring(_Setting):
     # ---- B
 
     def _on_one_curve(self, delay_s: float) -> Sequence[Track]:
-        """Tracks on which the tip follows one curve: the image itself, or bending angles by pose where other axes move
-        for more than half of the frames."""
+        """Tracks on which the tip follows one curve, at this delay, s: the image itself; or bending angles by pose,
+        with a note, if translation or rotation are away from where they mostly are at half of the frames or more."""
         reference = self.tracks[0].others_reference
         still = np.concatenate([track.at_reference(track.scene_s(delay_s), reference) for track in self.tracks])
         if not self.camera or np.mean(still) > 0.5:
@@ -380,9 +386,10 @@ class Measuring(_Setting):
     def _fit_jointly(
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
-        """The joint fit of B, path and delay together with what departs from it, and the fit of the passes alone; each
-        None where too little was seen for it. The delay stays that of `delay` where it is given, and of a camera where
-        the image jumps or more than noise is left. curve: B by the onsets, a first guess."""
+        """The joint fit of B, path and delay, together with what departs from it, and the fit of the passes alone;
+        (None, None) if too little was seen, and None for the passes if these are too few. The delay is held at `delay`
+        if that was given by the user, and for a camera if the image jumps or the fit leaves more than noise. curve: B
+        by the onsets, a first guess."""
         prepared = prepare_tracks(self._on_one_curve(delay.delay_s), delay.delay_s)
         fit_delay = self.options.delay_s is None
         joint_fit = fit_jointly(
@@ -409,8 +416,8 @@ class Measuring(_Setting):
 
     def _with_departures(self, joint_fit: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
         """The joint fit with B as estimated together with the departures (components.py), if that B predicts about as
-        well or the onsets favour it; else as it was and less certain. Sets `components`, `hysteresis` and, where the
-        session's state changed, `ended`."""
+        well alone or the onsets favour it; else the fit without them, with larger sigmas. Sets `components`,
+        `hysteresis` and, if a state changed during the session, `ended`; adds to the evidence."""
         noise = place_noise(joint_fit)
         if noise is not None:
             self.findings.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
@@ -423,7 +430,7 @@ class Measuring(_Setting):
         self.findings.evidence["residual_components"] = components.unexplained
         for part in components.parts:
             self.findings.evidence[f"component_{part.name}"] = part.rms
-        apart = components.applied(joint_fit)
+        apart = components.applied_to(joint_fit)
         alone = self.choice.residual_without_departures(components, apart, joint_fit)
         if self.choice.predicts_as_well(alone, joint_fit) or self.choice.onsets_favour_departures(
             onsets, curve, components, apart, joint_fit
@@ -436,9 +443,9 @@ class Measuring(_Setting):
         return self._with_uncertainty_of_departures(joint_fit, components)
 
     def _with_hysteresis(self, joint_fit: Fitted, components: Components) -> tuple[Fitted, Components]:
-        """The joint fit and its components with several elements or friction, which becomes `hysteresis`, where the tip
-        starts gradually and these hold it; else as they are. B's sigma has what the elements' few shares leave, or the
-        uncertainty of the friction."""
+        """The joint fit and its components with several elements or friction, if the tip starts gradually and these
+        hold it; else both as they are. Sets `hysteresis` to the one found. B's sigma is increased by the uncertainty of
+        the friction, or by what a few elements leave."""
         several = self._several_elements_or_friction(joint_fit, components)
         if several is None:
             return joint_fit, components
@@ -448,9 +455,10 @@ class Measuring(_Setting):
         return several.fitted, replace(components, sigma=np.hypot(components.sigma, spread))
 
     def _separate_components(self, joint_fit: Fitted, noise: PlaceNoise | None) -> tuple[Fitted, Components]:
-        """The joint fit and its components. Where these leave more than the stated noise, and that is no error of the
-        tracker's, both are made once more with curves that bend only for independent frames, and taken if they leave no
-        more: if they do, it is B's shape, and would be taken for what departs. noise: `place_noise`, None unknown."""
+        """The joint fit and its components. If these leave more than noise, and not by a tracker's error, both are made
+        once more with curves smoothed for as many frames as are independent, and taken if they leave no more: then the
+        first curves had bent to what departs. If they leave more, the bends are B's shape. noise: of `place_noise`,
+        None if that is not known."""
         components = separate(joint_fit, self.rig)
         if components.unexplained > PREDICTS and not components.tracker_errs:
             smoother = as_smooth_as_independent(joint_fit, noise)
@@ -460,9 +468,9 @@ class Measuring(_Setting):
         return joint_fit, components
 
     def _with_uncertainty_of_departures(self, joint_fit: Fitted, components: Components) -> Fitted:
-        """The joint fit, without the departures, with how much they would change B added to B's sigma. An angle
-        sensor's delay becomes the nominal one, and all is fitted anew with that, if the two differ by less than the
-        delay's sigma, the larger of the departures' and the joint fit's."""
+        """The joint fit without the departures, with sigmas that include how much these would change B. An angle
+        sensor's delay that differs from the nominal one by less than its sigma (the larger of the departures' and the
+        fit's) becomes the nominal one, and all is fitted anew."""
         delay_sigma = max(components.delay_sigma, joint_fit.delay_sigma)
         near_nominal = abs(joint_fit.curves.delay_s - self.nominal_s) < delay_sigma
         if not self.framed and joint_fit.fit.fit_delay and near_nominal:
@@ -475,13 +483,13 @@ class Measuring(_Setting):
         return replace(joint_fit, spread=spread, delay_spread=delay_sigma, width_by_delay=components.width_by_delay)
 
     def _several_elements_or_friction(self, joint_fit: Fitted, components: Components) -> HysteresisFit | None:
-        """The joint fit with several elements or with friction, whichever has more evidence; None where the tip does
-        not start gradually first of all (_GRADUAL, _FIRST_OF_ALL), or where it leaves more than _HELD of the power that
+        """The joint fit with several elements or with friction, whichever has more evidence. None if a gradual start is
+        no component or not the main one (_GRADUAL, _FIRST_OF_ALL), or if the fit leaves _HELD or more of the power that
         one element leaves beyond noise."""
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, _FIRST_OF_ALL * components.strongest_rms):
             return None
-        apart, fit_delay = components.applied(joint_fit), self.options.delay_s is None
+        apart, fit_delay = components.applied_to(joint_fit), self.options.delay_s is None
         plays = fit_elements(apart, self.rig, fit_delay=fit_delay)
         assert isinstance(plays.fit.hysteresis, Elements)
         candidates = [HysteresisFit(plays, len(plays.fit.hysteresis.width) - 1)]
@@ -499,15 +507,16 @@ class Measuring(_Setting):
     # ---- f_remain
 
     def _find_place(self, joint_fit: Fitted) -> None:
-        """Sets the rig's `place`: where on a bare tip the place lies that was shown and followed instead of a marker.
-        Leaves the rig as it is with a marker, or where the tracks follow different places."""
+        """Sets the rig's `place`, if the same place on a bare tip was shown and followed in all tracks: where on the
+        tip it is, None if that cannot be found. Leaves the rig as it is with a marker or with different places."""
         shown = self.tracks[0].shown
         if shown is not None and all(track.shown == shown for track in self.tracks):
             self.rig = replace(self.rig, place=place_on_tip(joint_fit, self.rig, shown))
 
     def _remaining(self, width: Array, delay_s: float, settled_only: bool) -> Remaining | None:
-        """f_remain by the way that the options say, with B width (grid,) and the delay, s, held; None where the tip was
-        hardly seen to move. settled_only: frames before the tip was driven both ways do not count."""
+        """f_remain by the way that the options say, with B width (grid,) and the delay, s, held; on the tracks as of
+        the session's end, if there are any. None if too little was seen to move. settled_only: frames before the tip
+        was driven both ways do not count. A note is added if the morphological way cannot be used."""
         if self.options.remaining == "morphological":
             curves = fit_morphologically(self.tracks, self.rig, self.grid, delay_s)
             if curves is not None:
@@ -521,16 +530,16 @@ class Measuring(_Setting):
 
 
 def _with_sigma_of_scatter(onsets: Sequence[Onset], z2: float) -> list[Onset]:
-    """The onsets, with the sigmas of the hinges that are used multiplied by sqrt(z2), so that they explain the onsets'
-    scatter about the joint fit's B: that is so much sharper that the scatter is the onsets' own. z2: mean squared
-    difference from that B, in sigmas; it counts as from 1 to _MOST_Z2."""
+    """The onsets, with the sigmas of used hinges multiplied by sqrt(z2), so that their scatter about the joint fit's B
+    is explained. It is taken for the onsets' own, as that B is much surer. z2: mean squared z of the onsets against
+    that B, clipped to 1 to _MOST_Z2."""
     spread = float(np.sqrt(np.clip(z2, 1.0, _MOST_Z2)))
     return [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
 
 
 def _probabilities(fits: Sequence[Fitted]) -> Array:
-    """(n,) probability of each of these fits of the same frames, alike before: proportional to scale^-N, the likelihood
-    with the noise's size integrated out, N the number of independent residuals."""
+    """(n,) probability of each of n fits of the same frames, all equally probable before: proportional to scale^-N, the
+    likelihood with the noise's size integrated out, with N the number of independent residuals."""
     noise = place_noise(fits[0])
     number = fits[0].frames * fits[0].residuals[0].shape[1] / (1.0 if noise is None else noise.effect)
     log = -number * np.log([fit.scale for fit in fits])

@@ -51,8 +51,8 @@ class Selected:
 
 
 def nominal_columns(fit: PlayFit, counted: CountedFrames) -> list[sparse.csr_matrix]:
-    """(channels * n, unknowns), sparse, as blocks side by side: derivatives of the whitened image by the coefficients
-    of the path (channel by channel), those of B, and the delay."""
+    """Derivatives of the whitened image by the nominal unknowns, as blocks (channels * n, ...), sparse, to be put side
+    by side: by the path's coefficients (channel by channel), by B's, and by the delay."""
     path = scaled_rows(counted.inverse, fit.follow.design(counted.p))
     by_width = scaled_rows(counted.by_width, fit.backlash.design(counted.p))
     return [
@@ -63,8 +63,8 @@ def nominal_columns(fit: PlayFit, counted: CountedFrames) -> list[sparse.csr_mat
 
 
 def normal_with_columns(fit: PlayFit, counted: CountedFrames, columns: Array) -> tuple[Array, Array, int]:
-    """Weighted normal matrix (m, m) and gradient (m,) of the nominal unknowns followed by further ones, which move the
-    tip's place by columns (n, k); and the number of nominal unknowns. No penalties."""
+    """Normal matrix (m, m) and gradient (m,) by the frames' weights, without penalties, of the nominal unknowns
+    followed by k further ones, which move the tip's place by columns (n, k); and the number of nominal unknowns."""
     weight = np.tile(counted.weight, counted.residuals.shape[1])
     blocks = [*nominal_columns(fit, counted), counted.along_path(columns)]
     normal = Normal.of_sparse(blocks, weight, counted.residuals.T.ravel())
@@ -80,8 +80,10 @@ class MixedModel:
         self, fitted: Fitted, selected: Selected, curves: Curves, counted: CountedFrames, candidates: list[Departure],
         clock_error: Array, searched: SearchedParameters,
     ) -> None:  # fmt: skip
-        """Sums the weighted normal equations of all candidates; solves nothing yet. fitted: the joint fit; clock_error
-        (2,): s, as in `counted_frames`; searched: with which the candidates were made."""
+        """Sums the weighted normal equations of the nominal unknowns and all candidates; solves nothing yet. fitted:
+        the joint fit. selected: which candidates are active, and their penalties. curves: at which all is linearised.
+        counted: the frames at these. clock_error (2,): s, as in `counted_frames`. searched: with which the candidates
+        were made."""
         self.selected, self.curves, self.counted = selected, curves, counted
         self.clock_error, self.searched = clock_error, searched
         self.fit = fit = fitted.fit
@@ -149,9 +151,10 @@ class MixedModel:
         return None if at is None else float(self.values[at][0])
 
     def _adapt_penalties(self) -> bool:
-        """One Fellner-Schall step of every active penalty, lambda <- lambda (noise^2 edf / (lambda u' P u))^_FASTER,
-        edf = m - lambda tr(C P) the component's effective degrees of freedom, C its block of the inverse; by a factor
-        of _MOST_AT_ONCE at most. Whether any penalty changed by more than _SETTLED."""
+        """One Fellner-Schall step of every active penalty: lambda <- lambda (noise^2 edf / (lambda u' P u))^_FASTER,
+        with edf = m - lambda tr(C P) the component's effective degrees of freedom and C its block of the inverse; by a
+        factor of _MOST_AT_ONCE at most. Returns whether any penalty changed by more than _SETTLED (of its
+        logarithm)."""
         changed = False
         for name, at in self.active_blocks():
             now, penalty = self.selected.penalties[name], self.candidates[name].penalty
@@ -166,13 +169,14 @@ class MixedModel:
     # ---- selection of further components
 
     def join(self) -> bool:
-        """Makes up to _JOIN_AT_ONCE candidates components, each the one with the largest REML gain less its price, if
-        that is at least REML_GAIN per independent frame. One whose value comes out negative and must not is refused for
-        good. Whether any was tried."""
+        """Makes up to _JOIN_AT_ONCE candidates components and solves with them. Each is the one whose REML gain less
+        its price is largest. It joins if its gain is at least REML_GAIN plus its price, times the frames per
+        independent one. A one-way component whose value comes out negative is refused for good. Returns whether any
+        candidate was tried."""
         joined = False
         for _ in range(_JOIN_AT_ONCE):
-            closed = set(self.selected.active) | self.selected.refused
-            open_parts = [p for p in self.candidates.values() if p.name not in closed and not p.not_beside & closed]
+            taken = set(self.selected.active) | self.selected.refused
+            open_parts = [p for p in self.candidates.values() if p.name not in taken and not p.not_beside & taken]
             gains = {part.name: self._reml_gain(part) for part in open_parts}
             if not gains:
                 break
@@ -191,10 +195,10 @@ class MixedModel:
         return joined
 
     def _reml_gain(self, part: Departure) -> tuple[float, float]:
-        """By how much twice the restricted log likelihood grows with this candidate, and its penalty lambda there, the
-        best of _PENALTIES: sum_i f_i^2 / (noise^2 (d_i + lambda)) - log(1 + d_i / lambda), d_i the eigenvalues of its
-        information given the other unknowns relative to P, f_i its gradient along them. (0, 1) where no frame tells of
-        it."""
+        """By how much twice the restricted log likelihood grows if this candidate joins, at the best of _PENALTIES, and
+        that penalty lambda. The gain is sum_i f_i^2 / (noise^2 (d_i + lambda)) - log(1 + d_i / lambda), with d_i the
+        eigenvalues, relative to P, of its information given the other unknowns, and f_i its gradient along their
+        eigenvectors. (0, 1) if no frame tells of it."""
         at = self.places[part.name]
         across = self.gram[np.ix_(self.solved, at)]
         information = self.gram[np.ix_(at, at)] - across.T @ self.inverse @ across
@@ -212,14 +216,14 @@ class MixedModel:
         return float(gains[best]), float(penalties[best])
 
     def searched_again(self) -> SearchedParameters:
-        """The moments of a shift and a slip and the frequency of a breath that fit the residuals that are left; those
-        of active components stay."""
-        return self.searched.updated(self.counted, self.left(), set(self.selected.active))
+        """The moments of a shift and a slip and the frequency of a breath that explain most of what the solution
+        leaves; those of active components stay."""
+        return self.searched.updated(self.counted, self.residuals_left(), set(self.selected.active))
 
     # ---- residuals
 
-    def left(self) -> Array:
-        """(n, channels) whitened residuals that the solution leaves."""
+    def residuals_left(self) -> Array:
+        """(n, channels) whitened residuals that remain after the solution."""
         values = np.zeros(len(self.right))
         values[self.solved] = self.values
         ends = np.cumsum([block.shape[1] for block in self.design])[:-1]
@@ -229,9 +233,10 @@ class MixedModel:
         return np.asarray(left.reshape(self.counted.residuals.shape[1], -1).T)
 
     def moving_noise(self) -> float:
-        """Scatter between neighbouring frames while the tip moves, over that while it rests, 1 to _UNSTEADIEST (root of
-        the ratio of median squared steps); 1 where fewer than _FEW frames do either."""
-        step = np.mean(np.diff(self.left(), axis=0) ** 2, axis=1)
+        """Scatter between neighbouring frames while the tip moves over that while it rests, clipped to 1 to
+        _UNSTEADIEST: the root of the ratio of median squared differences. 1 with fewer than _FEW pairs of moving or of
+        resting frames."""
+        step = np.mean(np.diff(self.residuals_left(), axis=0) ** 2, axis=1)
         moves = self.counted.moving[1:] & self.counted.moving[:-1]
         rests = ~self.counted.moving[1:] & ~self.counted.moving[:-1]
         if moves.sum() < _FEW or rests.sum() < _FEW:
@@ -240,8 +245,8 @@ class MixedModel:
         return float(np.clip(ratio, 1.0, _UNSTEADIEST))
 
     def moving_ratio(self, left: Array) -> float:
-        """rms of residuals (n, channels) while the tip moves over that while it rests (over that of all frames where at
-        most _FEW rest); 1 where it never moves."""
+        """rms of the residuals left (n, channels) while the tip moves over that while it rests, or over that of all
+        frames if at most _FEW rest; 1 if it never moves."""
         power, moves = np.mean(left**2, axis=1), self.counted.moving
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         return float(np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0)
@@ -249,7 +254,7 @@ class MixedModel:
     def frames_per_independent(self) -> float:
         """How many frames tell as much as one independent frame, by the autocorrelation of the residuals that the
         solution leaves."""
-        return frames_per_independent(self.left())
+        return frames_per_independent(self.residuals_left())
 
     # ---- the Gauss-Newton step
 
@@ -260,8 +265,8 @@ class MixedModel:
 
     @property
     def clock_step(self) -> Array:
-        """(2,) by how much the solution moves the clock's rate and drift, s, as in `counted_frames`; 0 for what is not
-        active."""
+        """(2,) by how much the solution changes the clock's error, s (rate and drift, as in `counted_frames`); 0 for a
+        component that is not active."""
         return np.array([self.value(name) or 0.0 for name in ("clock.rate", "clock.drift")])
 
     @property
@@ -271,7 +276,8 @@ class MixedModel:
         return bool(shift.max() > _STILL * float(np.median(self.width_sigma())))
 
     def width_block(self) -> tuple[slice, Array]:
-        """Where B's coefficients are among the unknowns, and the basis (grid, coefficients) that makes B of them."""
+        """Where B's coefficients are among the unknowns, and the matrix (grid, coefficients) that makes B on the grid
+        of them."""
         first = self.curves.follow.size
         return slice(first, first + self.fit.backlash.size), np.asarray(
             self.fit.backlash.design(self.fit.grid).toarray()
@@ -291,7 +297,7 @@ class MixedModel:
 
 
 def frames_per_independent(residuals: Array) -> float:
-    """How many residuals (n, channels) tell as much as one independent frame: 1 + 2 sum of their autocorrelation while
-    that is more than chance, outliers cut at STRAY rms."""
+    """How many of the residuals' frames (n, channels) tell as much as one independent frame: 1 + 2 times the sum of
+    their autocorrelation, up to the lag at which it could be chance. Outliers are cut at STRAY rms."""
     clipped = np.clip(residuals / max(float(np.sqrt(np.mean(residuals**2))), 1e-30), -STRAY, STRAY)
     return frames_each(clipped, min(_LAGS, len(clipped) // 4), least=2.0 / float(np.sqrt(clipped.size)))

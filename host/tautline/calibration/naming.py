@@ -1,5 +1,5 @@
-"""The names of the effects that a calibration's own recordings show: those that a diagnosis of these recordings gives,
-and the reasons of the verdict with them."""
+"""The names of the effects that a calibration's own recordings show, which a diagnosis of these recordings gives; and
+the reasons of the verdict with these names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tautline.recording import Recording
 
 HOLDS = "the model holds it, and predicts with it: what a board's tables undo of it taut export says"
 LOOKS = start.NAMES | {"residual", "repeatability"}  # what departs, by how it looks
-# What is not weighed, and what effects that are may look like: they may as well stand in for it.
+# Departures that a diagnosis does not weigh. An effect may look like one of them, and be named in its place.
 _UNWEIGHED = frozenset(
     {
         "transmission.offset",
@@ -29,14 +29,15 @@ _UNWEIGHED = frozenset(
 
 
 def has_unweighed(reasons: Sequence[Reason]) -> bool:
-    """Whether one of the reasons is a departure that a diagnosis does not weigh against the library's effects, so that
-    an effect may only be standing in for it."""
+    """Whether one of the reasons is a departure that a diagnosis does not weigh against the library's effects. An
+    effect that is named may then only be standing in for it."""
     return any(reason.code in _UNWEIGHED for reason in reasons)
 
 
 def effects_of_diagnosis(model: Model, recordings: Sequence[Recording], progress: start.Progress) -> start.Start | None:
-    """What a diagnosis says is in these recordings from the start, all effects of the library weighed against each
-    other; None where it names none. recordings: on the motor's clock, the earliest first."""
+    """The diagnosis of which effects were in these recordings from the start, all effects of the library weighed
+    against each other; None if it names none or has nothing to score. recordings: on the motor's clock, the earliest
+    first."""
     try:
         told = start.of_recordings(model, recordings, progress)
     except TautError:  # nothing that a diagnosis could score
@@ -45,11 +46,11 @@ def effects_of_diagnosis(model: Model, recordings: Sequence[Recording], progress
 
 
 def reasons_with_names(reasons: Sequence[Reason], model: Model, names: Sequence[str]) -> list[Reason]:
-    """The reasons, with these names of effects in place of all that departs by its looks (LOOKS). A name is mild
-    if all that it replaces is, unless B itself holds a part of the effect."""
-    stands_for = [reason for reason in reasons if reason.code in LOOKS]
-    mild = all(reason.mild for reason in stands_for) and not start.in_the_width(model)
-    seen = {reason.code: reason.says for reason in stands_for}
+    """The reasons, with a reason for each named effect (`names`, ids) in place of those that only say how a departure
+    looks (LOOKS). A named one is mild if all that were replaced are, unless B itself holds a part of the effect."""
+    replaced = [reason for reason in reasons if reason.code in LOOKS]
+    mild = all(reason.mild for reason in replaced) and not start.in_the_width(model)
+    seen = {reason.code: reason.says for reason in replaced}
     named = [Reason(name, seen.get(name, BY_ID[name].says), DRIVE, mild=mild) for name in names]
     return [*named, *(reason for reason in reasons if reason.code not in LOOKS | set(names))]
 
@@ -57,8 +58,8 @@ def reasons_with_names(reasons: Sequence[Reason], model: Model, names: Sequence[
 def reasons_with_carried(
     before: Sequence[Reason], reasons: Sequence[Reason], model: Model, predicts: bool
 ) -> list[Reason]:
-    """The reasons of a model that carries effects, with a reason for each effect first, mild if the model predicts.
-    before: reasons of the model without effects, whose words are kept."""
+    """The reasons of a model that carries effects, with a reason for each effect put first, mild if the model predicts.
+    before: reasons of the model without effects; if one has an effect's code, its words are kept."""
     seen = {reason.code: reason.says for reason in before}
     ids = [effect.id for effect in model.effects]
     names = [

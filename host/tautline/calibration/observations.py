@@ -68,8 +68,8 @@ class Track:
 
     @property
     def placed_px(self) -> float:
-        """Standard deviation, px per coordinate, of what the tracker is off by at each place anew; 0 where the places
-        are from another program."""
+        """Standard deviation, px per coordinate, of the tracker's error that is drawn anew at each place of the image;
+        0 if the positions are another program's."""
         return geometry.PLACED_PX if self.tracked_px else 0.0
 
     def scene_s(self, delay_s: float) -> Array:
@@ -96,16 +96,16 @@ class Track:
         return self.path.at(scene_s)
 
     def others_at(self, scene_s: Array) -> tuple[Array, Array]:
-        """translation (n,) mm and rotation (n,) deg."""
+        """Translation (n,), mm, and rotation (n,), deg, at scene times (n,), s."""
         return self.path.others_at(scene_s)
 
     def within_motor(self, scene_s: Array) -> Mask:
-        """(n,) which scene times, s, the motor's record covers."""
+        """(n,) whether the motor's record covers each scene time, s."""
         inside: Mask = (scene_s >= self.motor.t_s[0]) & (scene_s <= self.motor.t_s[-1])
         return inside
 
     def others_still(self, from_s: float, to_s: float) -> bool:
-        """Whether translation and rotation rest between two times."""
+        """Whether translation and rotation rest between two scene times, s; True if neither was recorded."""
         if self.motor.translation_mm is None and self.motor.rotation_deg is None:
             return True
         translation, rotation = self.others_at(self.path.course(from_s, to_s)[0])
@@ -113,15 +113,15 @@ class Track:
 
     @property
     def others_reference(self) -> tuple[float, float]:
-        """Where translation (mm) and rotation (deg) are most of the time; 0 where they were not recorded."""
+        """Where translation (mm) and rotation (deg) mostly are, their medians; 0 if not recorded."""
         return tuple(
             0.0 if values is None else float(np.median(values))
             for values in (self.reading.translation_mm, self.reading.rotation_deg)
         )  # type: ignore[return-value]
 
     def at_reference(self, scene_s: Array, reference: tuple[float, float]) -> Mask:
-        """Frames at which the other degrees of freedom are where `reference` says: one curve in the image. All of a
-        posed track."""
+        """(n,) scene times, s, at which translation (mm) and rotation (deg) are at `reference`, so that the tip follows
+        one curve in the image. All of them for a posed track."""
         if self.posed:
             return np.ones(len(scene_s), dtype=bool)
         translation, rotation = self.others_at(scene_s)
@@ -132,8 +132,10 @@ class Track:
 
 
 def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
-    """One track for each recording, in the session's time: its marker where it has one and the rig a camera, else its
-    angle. TautError where a recording has neither, or some have the one and some the other."""
+    """One track for each recording, in the session's time: of its marker if it has one and the rig a camera, else of
+    its angle. Sway is taken out of squares that were followed on a bare tip and of what a tip's own camera sees
+    (`without_sway`). Raises TautError if a recording has neither, or some tracks are of a marker and some of an
+    angle."""
     tracks = []
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
@@ -145,14 +147,14 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
-            track = _track(recording, path, "px", marker.t_s[seen], y, given)
+            track = _track_of_values(recording, path, "px", marker.t_s[seen], y, given)
             of_frames = recording.video is not None or marker.frame_px is not None
             track = replace(track, shown=marker.shown, tracked_px=geometry.TRACKED_PX if of_frames else 0.0)
             tracks.append(track if marker.shown is None else without_sway(track, rig, marker.shown.side_px))
         elif angle is not None:
             seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)
-            track = _track(recording, path, "deg", angle.t_s[seen], y, None)
+            track = _track_of_values(recording, path, "deg", angle.t_s[seen], y, None)
             tracks.append(without_sway(track, rig, _WORLD_DEG) if rig.sees_from_tip else track)
         elif marker is not None:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
@@ -165,8 +167,9 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
 
 
 def without_sway(track: Track, rig: Rig, side: float) -> Track:
-    """The track, its motion multiplied by the probability that the followed place follows the motor and does not only
-    sway (sway.py): the expected motion of the tip. side: size of the followed square, y's unit."""
+    """The track with its motion about the median multiplied by the probability that the followed place follows the
+    motor and does not only sway (sway.py): the expected motion of the tip. The same track with few frames or if the
+    motor hardly moves. side: size of the followed square, y's unit."""
     low, high = float(track.motor.q.min()), float(track.motor.q.max())
     if len(track.t_s) < FEW or not high - low > turning_hysteresis(
         track.path, rig.actuator.encoder_resolution, rig.actuator.span
@@ -183,9 +186,12 @@ def without_sway(track: Track, rig: Rig, side: float) -> Track:
     return replace(track, y=track.y - still * (track.y - np.median(track.y, axis=0)))
 
 
-def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None) -> Track:
+def _track_of_values(
+    recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None
+) -> Track:
     """The track of y (n, channels) at arrival times t (n,), s, without repeated values, frames of doubtful stated noise
-    and strays. given (n,): noise that the recording states, or None; it counts where y shows about as much."""
+    and strays. given (n,): noise that the recording states, or None; its median counts if y scatters about as much,
+    else the noise is the one that y shows."""
     fresh = not_held(y)
     held = int(np.sum(~fresh))
     t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
@@ -206,9 +212,10 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
 
 
 def not_held(y: Array) -> Mask:
-    """(n,) frames at which a sensor shows a new sample of y (n, channels): all, unless it is sampled and held. Then it
-    repeats values (_HELD of them) though the tip moves by far more than its resolution (_RESOLVED): those repeats are
-    not new. While the tip rests, one frame in as many as a value is held for is."""
+    """(n,) whether each value of y (n, channels) is a new sample of the sensor. All are, unless values are sampled and
+    held. That is so if many values (_HELD) are repeated though the tip moves by far more than the sensor's resolution
+    (_RESOLVED). Repeats are not new then; in longer runs, of a tip at rest, one frame in as many as a value is usually
+    held for counts as new."""
     fresh = np.ones(len(y), dtype=bool)
     if len(y) < _TELL_HOLD:
         return fresh
@@ -219,6 +226,7 @@ def not_held(y: Array) -> Mask:
     runs = np.diff(changes)  # of the value that changes[i] began
     levels = np.unique(y[:, 0])
     resolution = least_step(levels) if len(levels) > 1 else np.inf
+    # Runs between two changes that are both too large to be steps of the resolution: the tip moves there.
     moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * resolution
     if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
         return fresh
@@ -226,15 +234,16 @@ def not_held(y: Array) -> Mask:
     edges = np.concatenate([[0], changes, [len(y)]])
     row = np.arange(len(y))
     run = np.searchsorted(edges, row, side="right") - 1
+    # Frames since the run began, and until it ends.
     since, left = row - edges[run], edges[run + 1] - row
     anew: Mask = (since == 0) | ((since % hold == 0) & (left >= hold))
     return anew
 
 
 def _sizes_of_noise(track: Track, place: Array) -> Array:
-    """(k, 2) the place, and how many times the stated noise y shows there, whose median is the noise: by fifth
-    differences, in which a fast motion shows less than in third ones, of six frames at even times about that place.
-    place (n,): of the track's frames, unit of q."""
+    """(k, 2) places, unit of q, and the noise that y shows there, over the stated one: root mean squares of fifth
+    differences, in which a fast motion shows less than in third ones, over their median for unit noise. One for each
+    six frames at even times. place (n,): the tip's at the track's frames, unit of q."""
     fifth = np.diff(track.y, _ORDER, axis=0) / (np.sqrt(_FIFTH) * track.sigma[_ORDER:, None])
     least = least_noise(track.unit) / track.sigma[_ORDER:]
     size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[track.y.shape[1]], least)
@@ -243,26 +252,27 @@ def _sizes_of_noise(track: Track, place: Array) -> Array:
 
 @dataclass(frozen=True)
 class NoiseByPlace:
-    """How many times the noise that the tracks state it is, linear in its logarithm between places. One place: it is
-    as they state."""
+    """By how much the noise differs from what the tracks state, as a factor that depends on the place; its logarithm is
+    linear between places. With one place only the factor is 1."""
 
     places: Array = field(default_factory=lambda: np.zeros(1))  # (m,) rising, unit of q
     log_times: Array = field(default_factory=lambda: np.zeros(1))  # (m,)
 
     @property
     def differs(self) -> bool:
-        """Whether it is another one from place to place."""
+        """Whether the noise differs from place to place."""
         return len(self.places) > 1
 
     def times(self, place: Array) -> Array:
-        """(n,) at places (n,); as at the last one beyond either end."""
+        """(n,) the factor at places (n,), unit of q; beyond the first and last place it is as there."""
         return np.asarray(np.exp(np.interp(place, self.places, self.log_times)))
 
     @classmethod
     def of(cls, tracks: Sequence[Track], places: Sequence[Array]) -> Self:
-        """Of tracks whose frames are at places (n,) each, unit of q, in _PARTS parts of the range. As stated where one
-        noise is likelier than one which differs by a factor of _DIFFERS from part to part; else each part's as far as
-        its frames tell it: between its own and the mean, by their variances."""
+        """The noise of tracks whose frames are at places (n,) each, unit of q, in _PARTS parts of the range. One noise,
+        as stated, if that is likelier than parts that differ by a factor of _DIFFERS. Else each part's noise is its
+        own, drawn to the mean as its few frames tell it less (by the variances of both). Tracks that round and parts of
+        few frames do not count."""
         told_by = (each for each in zip(tracks, places, strict=True) if len(each[0].t_s) >= _DIFFERENCES)
         rows = [_sizes_of_noise(track, place) for track, place in told_by if track.step == 0.0]
         if not sum(map(len, rows)):
@@ -278,32 +288,36 @@ class NoiseByPlace:
         error = _ERROR_OF_LOG[tracks[0].y.shape[1]] / np.sqrt(frames[told])
         mean = float(np.sum(log / error**2) / np.sum(error**-2))
         off, spread_of = log - mean, np.hypot(error, np.log(_DIFFERS))
+        # Log likelihood of parts that differ, N(mean, spread_of^2), less that of one noise, N(mean, error^2).
         gain = 0.5 * ((off / error) ** 2 - (off / spread_of) ** 2) - np.log(spread_of / error)
         if not gain.sum() > 0.0:
             return cls()
         middles = 0.5 * (edges[1:] + edges[:-1])[told]
+        # Posterior mean of each part: its distance from the mean counts by the share of the parts' variance in
+        # spread_of^2.
         return cls(middles, mean + off * (np.log(_DIFFERS) / spread_of) ** 2)
 
 
 def with_noise(track: Track, noise: NoiseByPlace, place: Array) -> Track:
-    """The track with this noise at its frames' places (n,); one that rounds as it is."""
+    """The track with its sigma multiplied by the factor at its frames' places (n,), unit of q; unchanged if it
+    rounds."""
     return track if track.step > 0.0 else replace(track, sigma=track.sigma * noise.times(place))
 
 
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
-    """How far, unit of q, a motor has to go back for a turn: by less it is dither of the encoder, noise of its readings
-    or next to nothing of the span."""
+    """How far, unit of q, a motor has to go back for a turn. Less is dither of its encoder (resolution), noise of its
+    readings, or next to nothing of the range, span; all in the unit of q."""
     return float(max(_TURNS_COUNTS * resolution, _TURNS_NOISES * path.noise, LITTLE * span))
 
 
 def usual_width(width: Array, span: float) -> float:
-    """The median of widths (k,), unit of q, at least the share LITTLE of a range of q, span."""
+    """The median of widths (k,), unit of q; at least the share LITTLE of span, a range of q."""
     return max(float(np.median(width)) if len(width) else 0.0, LITTLE * span)
 
 
 def corners(motor: Motor) -> tuple[Array, Array]:
-    """Times and positions (k,) of the motor's extremes, with the first and the last sample: all that a play needs to
-    know."""
+    """Times, s, and positions (k,), unit of q, of the motor's first and last sample and all extremes between: all that
+    a play needs to know of a motion."""
     q = motor.q
     if len(q) < 3:
         return motor.t_s, q

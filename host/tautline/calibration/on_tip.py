@@ -35,8 +35,9 @@ _ENOUGH = 1e-3  # tolerance: of the cost, sigma^2
 
 
 def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
-    """The place on a bare tip of the square that was shown and followed, from the path of its image. fitted: the joint
-    fit of the image itself. None if it is of something else, the rig lacks a camera, or hardly anything moved."""
+    """Where on a bare tip the square lies that was shown and followed, from the path of its image. fitted: the joint
+    fit of the image itself. None if it is a fit of angles, the rig lacks a camera, hardly anything moved, or the angles
+    that are found are not monotone along the path."""
     if fitted.fit.view is not None or fitted.curves.follow.shape[1] != 2:
         return None
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
@@ -55,14 +56,14 @@ def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
     problem = _PlaceProblem(seen, path, noise, mean, np.kron(np.eye(3), np.linalg.inv(covariance)))
     found = descend(problem, np.concatenate([coarse, mean]), _MOST_STEPS)
     spread = np.sqrt(np.diag(np.linalg.inv(problem.linearised(found)[0]))[:_NODES])
-    return _table(found[:_NODES], found[_NODES:].reshape(3, _NODES), spread)
+    return _tabulated_place(found[:_NODES], found[_NODES:].reshape(3, _NODES), spread)
 
 
 def _prior_of_place(seen: _View, coarse: Array, at: float, side_px: float, tracked_px: float) -> tuple[Array, Array]:
-    """Mean (3 n,) of the place's coordinates at the nodes, mm, and covariance (n, n) of each coordinate, mm^2. The
-    place is on a tube as wide as the square that was shown, on the side that the camera saw then; it goes over to the
-    side that it sees at a node. coarse (n,): f_coarse at the nodes, deg; at: bending when it was shown, deg; side_px:
-    of the square; tracked_px: the tracker's error."""
+    """Mean (3 n,) of the place's coordinates at the nodes, mm, and covariance (n, n) of each coordinate, mm^2. The mean
+    is on a tube as wide as the square, on the side that the camera saw when it was shown; at a node the place may have
+    moved over to the side that the camera sees there. coarse (n,): f_coarse at the nodes, deg; at: bending when it was
+    shown, deg; side_px: of the square; tracked_px: the tracker's error."""
     mm_per_px, side = seen.mm_per_px(at), seen.towards_camera(at)
     side_mm = side_px * mm_per_px
     alike = np.exp(-0.5 * ((coarse[:, None] - coarse) / _TURN_DEG) ** 2) + _JITTER * np.eye(_NODES)
@@ -74,7 +75,7 @@ def _prior_of_place(seen: _View, coarse: Array, at: float, side_px: float, track
     return np.repeat(0.5 * side_mm * side, _NODES), covariance
 
 
-def _table(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
+def _tabulated_place(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
     """The place as a table at evenly spaced angles, from angles c_deg (n,), places mm (3, n) and the angles' sigma
     (n,). None where the angles are not monotone along the path."""
     order = slice(None) if c_deg[-1] > c_deg[0] else slice(None, None, -1)
@@ -102,7 +103,8 @@ class _View:
     rotation_deg: float
 
     def in_camera(self, c_deg: Array, place: Array) -> Array:
-        """(n, 3) mm of places (3, n) mm beside the tip's end at angles (n,) deg."""
+        """Positions (n, 3), mm, in the camera's frame of places (3, n), mm, in the frame of the tip's end at bending
+        angles (n,), deg."""
         c = np.radians(c_deg)
         sin, cos = np.sin(c), np.cos(c)
         aside, out, ahead = place
@@ -112,30 +114,32 @@ class _View:
         return to_camera(self.hand_eye, about_base_z(self.rotation_deg, point))
 
     def image(self, unknown: Array) -> Array:
-        """(2 n,) px of the unknowns (4 n,): angles, deg, then places, mm."""
+        """(2 n,) image positions, px, for the unknowns (4 n,): n angles, deg, then the places' three coordinates,
+        mm."""
         c_deg, *place = unknown.reshape(4, -1)
         return to_image(self.camera, self.in_camera(c_deg, np.array(place))).ravel()
 
     def by_unknown(self, unknown: Array) -> Array:
-        """(2 n, 4 n) derivatives of `image`, by central differences: each node depends on its own angle and place
-        alone."""
+        """(2 n, 4 n) derivatives of `image`, by central differences, for all nodes at once: each depends on its own
+        angle and place alone."""
         n = len(unknown) // 4
         slopes = np.zeros((n, 2, 4, n))
-        here = np.arange(n)
+        node = np.arange(n)
         for k in range(4):
             step = np.zeros((4, n))
             step[k] = _STEP
             change = self.image(unknown + step.ravel()) - self.image(unknown - step.ravel())
-            slopes[here, :, k, here] = change.reshape(n, 2) / (2.0 * _STEP)
+            slopes[node, :, k, node] = change.reshape(n, 2) / (2.0 * _STEP)
         return slopes.reshape(2 * n, 4 * n)
 
     def mm_per_px(self, c_deg: float) -> float:
-        """How many mm across the view a pixel is at the tip, bent by c_deg."""
+        """mm across the view for each pixel, at the depth of a tip bent by c_deg."""
         depth = self.in_camera(np.array([c_deg]), np.zeros((3, 1)))[0, 2]
         return float(depth / np.sqrt(self.camera.fx_px * self.camera.fy_px))
 
     def towards_camera(self, c_deg: float) -> Array:
-        """Across the tip, in its frame (3,), a unit vector: the side of it that the camera sees."""
+        """The direction from a tip bent by c_deg to the camera, less its part along the tip: (3,) a unit vector in the
+        tip's frame."""
         view = -self.in_camera(np.array([c_deg]), np.zeros((3, 1)))[0] @ rotation(self.hand_eye.rotation_deg)
         aside, out, ahead = about_base_z(-self.rotation_deg, view[None])[0]
         c = np.radians(c_deg)
@@ -155,7 +159,7 @@ class _PlaceProblem:
     precision: Array  # (3 n, 3 n)
 
     def linearised(self, point: Array) -> tuple[Array, Array, float]:
-        """Normal matrix (4 n, 4 n), gradient that lowers the cost, and cost at a point (4 n,)."""
+        """Normal matrix (4 n, 4 n), gradient (4 n,) along which the cost falls, and the cost, at a point (4 n,)."""
         n = len(self.path)
         rows = self.seen.by_unknown(point) / self.noise_px
         left = (self.path.ravel() - self.seen.image(point)) / self.noise_px
@@ -165,7 +169,7 @@ class _PlaceProblem:
         return matrix, gradient, self.cost(point)
 
     def moved(self, point: Array, step: Array) -> Array:
-        """The point (4 n,) a step further."""
+        """The point (4 n,) after a step (4 n,)."""
         return point + step
 
     def cost(self, point: Array) -> float:
@@ -175,5 +179,5 @@ class _PlaceProblem:
         return float(left @ left + off @ self.precision @ off)
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether the step that gained so little of the cost was the last."""
+        """Whether the last step gained less than _ENOUGH of the cost, so that the descent ends."""
         return gained < _ENOUGH

@@ -100,7 +100,7 @@ class Onset:
 
 
 def with_width(onsets: Sequence[Onset]) -> list[Onset]:
-    """The used onsets that measure a width; others are bounds only."""
+    """The onsets that are used and measure a width: hinges and brackets."""
     return [onset for onset in onsets if onset.tells_width]
 
 
@@ -129,8 +129,8 @@ class _Stroke:
 
 def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
     """The track's strokes from turn to turn of the motor, with the frames of each at this delay of the sensor, s. After
-    a turn the tip may still move the old way: a creep that is found is taken off z; where none is, the first frames,
-    which still move, are left out. (The first stroke follows no turn.)"""
+    a turn the tip may still move the old way. If that is a creep it is subtracted from z, else the frames that still
+    move so are left out; not in the first stroke, which follows no turn. Empty with fewer than two motor samples."""
     motor = track.motor
     q = np.ascontiguousarray(motor.q)
     hysteresis = turning_hysteresis(track.path, rig.actuator.encoder_resolution, rig.actuator.span)
@@ -162,8 +162,8 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
 
 
 def _last_direction(z: Array) -> Array:
-    """(channels,) Unit vector along which z (n, channels), in sigmas of a frame, moved in its _LAST frames; zeros where
-    it moved by _HEADS or less, or there are fewer than _FEWEST_LAST frames."""
+    """(channels,) unit vector along which z (n, channels), in sigmas of a frame, moved in its _LAST frames; zeros if it
+    moved by _HEADS or less, or with fewer than _FEWEST_LAST frames."""
     last = z[-_LAST:]
     if len(last) < _FEWEST_LAST:
         return np.zeros(z.shape[1])
@@ -173,10 +173,10 @@ def _last_direction(z: Array) -> Array:
 
 
 def _creep(since_s: Array, z: Array, heading: Array) -> Array:
-    """(n, channels) the part of z (n, channels) at since_s (n,) after the turn with which the tip creeps on along
-    `heading` (channels,), A (1 - exp(-t / tau)), tau one of _SETTLE_S, fitted to the frames before it comes back. 0
-    where it goes on by less than _ON or for fewer frames than _CREEPS, is described best by the shortest tau, as a lag
-    is, or a creep explains less than _SETTLES of it."""
+    """(n, channels) the part of z (n, channels) at since_s (n,), s after the turn, with which the tip creeps on along
+    `heading` (channels,): A (1 - exp(-t / tau)), with tau one of _SETTLE_S, fitted to the frames before the tip comes
+    back. Zeros if it goes on by less than _ON or for fewer frames than _CREEPS, if the shortest tau fits best, as for a
+    lag, or if the creep explains less than the share _SETTLES."""
     none = np.zeros_like(z)
     if len(z) < _TELLS or not heading.any():
         return none
@@ -196,9 +196,9 @@ def _creep(since_s: Array, z: Array, heading: Array) -> Array:
 
 
 def _lagging_frames(z: Array) -> int:
-    """How many frames after a turn still move the old way, as the tip lags or the delay is longer than is known yet:
-    until z (n, channels), along the stroke's own direction, is within _LOWEST of its lowest. 0 where the stroke is
-    short, or z does not fall by _ON, or not at once."""
+    """How many frames after a turn still move the old way, because the tip lags or the delay is longer than is known
+    yet: those before z (n, channels), along the stroke's direction, is within _LOWEST of its lowest. 0 if the stroke is
+    short, or if z does not fall by more than _ON or not at once."""
     if len(z) < _TELLS:
         return 0
     way = z[-3:].mean(axis=0) - z[:3].mean(axis=0)
@@ -214,7 +214,7 @@ def _lagging_frames(z: Array) -> int:
 
 def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0) -> list[Onset]:
     """The onset of every reversal of every track, in order of time, at this delay, s. delay_sigma: its standard
-    deviation, s, which adds to that of the widths."""
+    deviation, s, with which the widths' sigmas are increased."""
     onsets = []
     for number, track in enumerate(tracks):
         strokes = _strokes(track, rig, delay_s)
@@ -225,8 +225,9 @@ def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: 
 
 
 def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> list[Onset]:
-    """The same onsets if the delay is later by by_s, s, much less than a frame: the scene is earlier, so the motor was
-    where it was then. To first order what `find_onsets` gives."""
+    """The same onsets for a delay that is longer by by_s, s, much less than a frame: the onset's scene is earlier by
+    it, and the width is less by what the motor went in that time. `find_onsets` would give the same to first order.
+    Onsets without a time stay."""
     moved = []
     for onset in onsets:
         if not np.isfinite(onset.t_s):
@@ -234,6 +235,7 @@ def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> li
             continue
         t_s = onset.t_s - by_s
         before, now = tracks[onset.track].motor_at(np.array([onset.t_s, t_s]))
+        # The motor's travel in by_s, towards the stroke's direction.
         less = onset.direction * (before - now)
         low, high = max(onset.low - less, 0.0), max(onset.high - less, 0.0)
         q2 = onset.q1 + onset.direction * max(onset.width - less, 0.0)
@@ -242,8 +244,8 @@ def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> li
 
 
 def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke) -> Onset:
-    """The onset in the stroke `after` a turn; number: of the track. A bracket where a jump gains more than _JUMP_GAINS
-    over a hinge, else a hinge; a bound where nothing moved; not used, with a reason, where the frames do not tell
+    """The onset in the stroke `after` a turn of the track with this number. A bracket if a jump gains more than
+    _JUMP_GAINS over a hinge, else a hinge; a bound if nothing moved. Not used, with a reason, if the frames do not tell
     it."""
     not_told = Onset(
         number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * after.reach, np.inf,
@@ -283,15 +285,16 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
 
 
 def _as_bracket(onset: Onset) -> Onset:
-    """The onset as a width known only between `low` and `high`: their middle, with the sigma of a uniform density."""
+    """The onset as a bracket: its width is the middle of `low` and `high`, with the sigma of a uniform density between
+    them."""
     middle = 0.5 * (onset.low + onset.high)
     spread = of_rounding(onset.high - onset.low)
     return replace(onset, kind=BRACKET, q2=onset.q1 + onset.direction * middle, sigma=max(float(spread), 1e-9))
 
 
 def _as_brackets_if_most_jump(onsets: list[Onset]) -> list[Onset]:
-    """The onsets; all as brackets if most reversals show a jump, or all together do by their mean gain: a jump is the
-    rig's then."""
+    """The onsets with all used hinges turned into brackets, if most onsets with a width are jumps, or all together show
+    jumps by their mean gain: then the image jumps at every reversal. Else the onsets as they are."""
     fitted = with_width(onsets)
     jumping = sum(o.kind == BRACKET for o in fitted)
     gains = [min(o.jump, _MOST_GAIN) for o in fitted]
@@ -302,10 +305,9 @@ def _as_brackets_if_most_jump(onsets: list[Onset]) -> list[Onset]:
 
 
 def with_timing_errors(onsets: Sequence[Onset], tracks: Sequence[Track], rig: Rig, delay_sigma: float) -> list[Onset]:
-    """The onsets, the sigma of each being its own, increased by the motor's travel during the delay's standard
-    deviation, s (a nominal delay's where none was found, inf), and by the rounding of the turn to a count of the
-    encoder."""
-    late_s, rounded = known_to(delay_sigma), of_rounding(rig.actuator.encoder_resolution)
+    """The onsets with their own sigmas increased by errors of time: the motor's travel in delay_sigma, s (NOMINAL_S if
+    that is inf, as no delay was found), and the rounding of the turn to a count of the encoder."""
+    late_s, rounded = sigma_or_nominal(delay_sigma), of_rounding(rig.actuator.encoder_resolution)
     return [
         replace(o, sigma=float(np.hypot(o.own_sigma, np.hypot(motor_speed(o, tracks[o.track]) * late_s, rounded))))
         if np.isfinite(o.own_sigma)
@@ -314,8 +316,8 @@ def with_timing_errors(onsets: Sequence[Onset], tracks: Sequence[Track], rig: Ri
     ]
 
 
-def known_to(delay_sigma: float) -> float:
-    """The standard deviation of a delay, s: a nominal one's where it is inf, as none was found."""
+def sigma_or_nominal(delay_sigma: float) -> float:
+    """A delay's standard deviation, s; that of a nominal delay, NOMINAL_S, if it is inf, as no delay was found."""
     return delay_sigma if np.isfinite(delay_sigma) else NOMINAL_S
 
 
@@ -326,9 +328,10 @@ def motor_speed(onset: Onset, track: Track) -> float:
 
 
 def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
-    """The longest window from the turn that a hinge's path follows within the noise (chi-square within _FITS of its
-    degrees of freedom), or the shortest tried, of _SHORTEST frames after the departure: travel x (n,), whitened y (n,
-    channels) and the hinge. None where there are too few frames."""
+    """The frames from the turn on to which the onset's hinge is fitted, and that hinge: travel x (n,), whitened y (n,
+    channels). The longest window that a hinge fits within the noise (chi-square within _FITS sigmas of its degrees of
+    freedom), or else the shortest that is tried, with _SHORTEST frames after the departure. None if there are too few
+    frames."""
     departure = stroke.departure
     assert departure is not None
     frames, travel, z = stroke.frames, stroke.travel, stroke.z
@@ -346,7 +349,8 @@ def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
 
 
 def _time_of_travel(track: Track, stroke: _Stroke, travel: float) -> float:
-    """When, s, the motor had gone `travel` beyond the turn; the stroke's end where it did not go so far."""
+    """The time, s, at which the motor had gone `travel`, unit of q, beyond the turn; the stroke's end if it did not go
+    so far."""
     t, q = track.path.course(stroke.start_s, stroke.end_s)
     gone = np.maximum.accumulate(stroke.direction * (q - stroke.q1))
     return float(np.interp(travel, gone, t))
@@ -365,10 +369,10 @@ class Delay:
 
 
 def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> Delay:
-    """Posterior mean and standard deviation of the delay at which the image stops when the motor turns, jointly over
-    all reversals on an envelope, its prior normal about nominal_s with NOMINAL_S; the nominal one with sigma inf where
-    there are none. It is negative where frames carry a clock that runs ahead, as a video's own times do that start with
-    its first frame. The stops are found anew at each new delay."""
+    """The delay at which the image stops when the motor turns: posterior mean and standard deviation, jointly over all
+    reversals on an envelope. Its prior is normal about nominal_s with sigma NOMINAL_S; without such reversals the
+    result is nominal_s with sigma inf. It may be negative, as for frames whose clock starts with the first of them. The
+    stops are found anew at each new delay, up to _STOPS_ANEW times."""
     delay = nominal_s
     result = Delay(nominal_s, np.inf, 0)
     for _ in range(_STOPS_ANEW):
@@ -384,9 +388,9 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> Delay:
 
 
 def _posterior_of_delay(stops: Sequence[_Stop], nominal_s: float) -> tuple[float, float]:
-    """Posterior mean and standard deviation, s, of the delay at which these frames stand still after their turns, by
-    grids of delays that become finer until one resolves it. Squares are divided by their mean where that is more than
-    the noise's: what is no noise makes the delay less sure."""
+    """Posterior mean and standard deviation, s, of the delay at which the frames after each stop's turn stand still, by
+    grids of delays that become finer until one resolves it. If the least squares are more than noise leaves, all
+    squares are divided by that ratio, so that the delay is less sure. nominal_s: mean of the prior."""
     grid = np.linspace(nominal_s - _DELAY_REACH_S, nominal_s + _DELAY_REACH_S, _GRID)
     freedom = sum(stop.freedom for stop in stops)
     for _ in range(_GRIDS):
@@ -400,6 +404,7 @@ def _posterior_of_delay(stops: Sequence[_Stop], nominal_s: float) -> tuple[float
         spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
         if spread > _RESOLVED * pitch:
             break
+        # The next grid is centred at the best delay and reaches some standard deviations to either side.
         reach = max(_RESOLVED * pitch, _GRID_SIGMAS * spread)
         grid = np.linspace(grid[best] - reach, grid[best] + reach, _GRID)
     return mean, spread
@@ -424,16 +429,16 @@ class _Stop:
         return int(max(1, (len(self.arrival_s) - 1 - self.order) * self.z.shape[1]))
 
     def squares(self, delays: Array) -> Array:
-        """(delays,) sums of squared residuals over noise, at each of delays (delays,), s, of z as a polynomial of the
-        motor's travel that is left before the turn, and level after it."""
+        """(delays,) sums of squared residuals over noise at each of the delays (delays,), s. z is modelled as a
+        polynomial (`order`) of the travel that the motor has left until the turn, and as constant after the turn."""
         return _native.still_squares(  # type: ignore[no-any-return]
             self.arrival_s, self.z, self.motor_t, self.motor_q, self.turn_s, self.q1, self.direction, self.order, delays
         )
 
 
 def _stops_of_track(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
-    """The stops of a track, found with the strokes at this delay, s: at turns before which the tip moves, and after
-    which it still rests, while the other degrees of freedom do."""
+    """The stops of a track: turns before which the tip moves and after which it rests, for _MOVING and _STILL frames at
+    least, while translation and rotation rest. delay_s: delay at which the strokes are taken, s."""
     stops = []
     for before, after in pairwise(_strokes(track, rig, delay_s)):
         if before.departure is None or not track.others_still(before.end_s - _RESTS_S, after.end_s):
@@ -446,9 +451,9 @@ def _stops_of_track(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
 
 
 def _stop_between(track: Track, before: _Stroke, after: _Stroke, count: int, still: int, delay_s: float) -> _Stop:
-    """The stop at the turn between two strokes: of the last `count` frames before it, at which the tip moves, as many
-    as a short polynomial fits within the noise at a delay near delay_s (chi-square within _STOP_FITS); and the first
-    `still` frames after it, at which the tip rests."""
+    """The stop at the turn between two strokes: the last `count` frames before it, at which the tip moves, and the
+    first `still` ones after it, at which it rests. `count` is reduced, to _FEWEST_MOVING at least, until the model of
+    `_Stop.squares` fits within the noise (chi-square within _STOP_FITS sigmas) at some delay near delay_s."""
     while True:
         frames = np.concatenate([before.frames[-count:], after.frames[:still]])
         z = np.concatenate(

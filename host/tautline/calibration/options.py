@@ -22,7 +22,7 @@ class Options:
     beforehand: Beforehand | None = None  # what is known without these recordings
 
     def __post_init__(self) -> None:
-        """TautError where a choice or the delay is none."""
+        """Raises TautError if an option is not one of its choices, or the delay is not finite."""
         for name, choices in get_type_hints(Options).items():
             value, allowed = getattr(self, name), get_args(choices)
             if get_origin(choices) is Literal and value not in allowed:

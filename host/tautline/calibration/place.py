@@ -1,9 +1,8 @@
 """The tracker's error that depends on the place in the image, and how many frames make one independent one.
 
-Lossy video, glare, a lens and the marker's own shading move the marker by what is around it: neighbouring frames then
-err alike, and say less than as many independent ones. What other passes over the same places repeat is such an error;
-what they do not is scatter, or the model's error.
-"""
+Lossy video, glare, a lens and the marker's own shading move the marker by what is around it. Neighbouring frames then
+err alike, and tell less than as many independent ones. What other passes repeat at the same places is such an error;
+what they do not repeat is scatter, or the model's error."""
 
 from __future__ import annotations
 
@@ -42,10 +41,10 @@ class PlaceNoise:
 
 
 def place_noise(fitted: Fitted) -> PlaceNoise | None:
-    """How a fit's residuals are correlated along strokes and repeated at places. None where too few frames counted.
-    `length` is 0.5 (effect - 1) times the usual way between two frames of a moving tip: of an error whose correlation
-    falls as exp(-distance / length), about 1 + 2 length / way frames count as one."""
-    whole = _joined([_errors_along_path(fitted, k) for k in range(len(fitted.masks))])
+    """How a fit's residuals are correlated along strokes, and what of them is repeated at places. None with fewer than
+    _FEWEST counted frames. `length` is 0.5 (effect - 1) times the usual way between two frames of a moving tip: if an
+    error's correlation falls as exp(-distance / length), about 1 + 2 length / way frames count as one."""
+    whole = _joined_tracks([_errors_along_path(fitted, k) for k in range(len(fitted.masks))])
     error, at, stroke, moving = whole.error, whole.at, whole.stroke, whole.moving
     if len(error) < _FEWEST:
         return None
@@ -65,15 +64,16 @@ def place_noise(fitted: Fitted) -> PlaceNoise | None:
 
 
 def as_many_as_independent(fitted: Fitted) -> Fitted:
-    """The same fit, its covariance multiplied by how many frames make one independent one."""
+    """The same fit with its covariance multiplied by `PlaceNoise.effect`, as if it had been fitted to independent
+    frames only."""
     noise = place_noise(fitted)
     return fitted if noise is None else replace(fitted, covariance=fitted.covariance * noise.effect)
 
 
 def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
-    """The fit again with the error that goes with the place in the noise of each frame, so that however many frames
-    show the tip at one place, it is known no better than `common`. The same fit where passes repeat less than _MOSTLY
-    of what neighbouring frames share."""
+    """The fit made again with the error `common`, which goes with the place, added to the noise of each frame, so that
+    any number of frames at one place tell it to `common` at best. The same fit if passes repeat less than _MOSTLY of
+    what neighbouring frames share, or that is not known."""
     if noise is None or noise.common <= _MOSTLY * noise.rms:
         return fitted
     tracks = [_with_place_noise(fitted, k, noise.common) for k in range(len(fitted.masks))]
@@ -82,8 +82,9 @@ def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
 
 
 def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
-    """The fit again with smoothing for as many frames as are independent: else what a real joint does from stroke to
-    stroke bends B. The same fit where frames are nearly independent."""
+    """The fit made again with smoothing for as many frames as are independent. (With less smoothing B bends to what a
+    real joint does differently from stroke to stroke.) The same fit if frames are nearly independent, or that is not
+    known."""
     if noise is None or noise.effect < _ALIKE:
         return fitted
     fit = replace(fitted.fit, frames_per_independent=noise.effect, smoothing=dict(fitted.fit.smoothing))
@@ -91,8 +92,8 @@ def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted
 
 
 def _with_place_noise(fitted: Fitted, k: int, common: float) -> PreparedTrack:
-    """Track k with each frame's variance increased by m common^2, m the number of frames that show the same place in a
-    row: together they know it no better than `common`, sensor's unit."""
+    """Track k with each frame's variance increased by m common^2, where m is the number of frames in a row that show
+    the same place: together they then tell that place to `common`, sensor's unit, at best."""
     prepared = fitted.fit.tracks[k]
     seen = fitted.fit.predicted(prepared.track, fitted.curves, fitted.fit.simulated[k].tip)
     step = np.linalg.norm(np.diff(seen, axis=0), axis=1)
@@ -114,7 +115,8 @@ class _PathErrors:
 
 
 def _errors_along_path(fitted: Fitted, k: int) -> _PathErrors:
-    """The counted frames of track k with their residuals projected on the path of the tip's image, sensor's unit."""
+    """The counted frames of track k, with their residuals projected on the direction of the image's path, sensor's
+    unit, and multiplied by the root of the frame's weight."""
     fit, curves = fitted.fit, fitted.curves
     sim, mask = fit.simulated[k], fitted.masks[k]
     prepared = fit.tracks[k]
@@ -128,7 +130,7 @@ def _errors_along_path(fitted: Fitted, k: int) -> _PathErrors:
     return _PathErrors(error[mask], score[mask], at[mask], stroke[mask], sim.moving[mask])
 
 
-def _joined(parts: Sequence[_PathErrors]) -> _PathErrors:
+def _joined_tracks(parts: Sequence[_PathErrors]) -> _PathErrors:
     """The frames of all tracks one after the other, strokes numbered on: no two tracks have a stroke in common."""
     strokes, before = [], 0
     for part in parts:
@@ -141,8 +143,8 @@ def _joined(parts: Sequence[_PathErrors]) -> _PathErrors:
 
 
 def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
-    """Positions p (n,) in order, unit of q, and the length of the image's path up to each (trapezoidal rule), steep
-    (n,) being its length per unit of p."""
+    """Positions p (n,) in rising order, unit of q, and the length of the image's path from the first to each of them
+    (trapezoidal rule). steep (n,): the path's length per unit of p."""
     order = np.argsort(p)
     p, steep = p[order], steep[order]
     length = np.concatenate([[0.0], np.cumsum(0.5 * (steep[1:] + steep[:-1]) * np.diff(p))])
@@ -150,8 +152,8 @@ def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
 
 
 def _variance_at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: Mask) -> float:
-    """Half the mean squared difference of neighbouring frames of one stroke: the noise's variance, at rest where enough
-    frames do, else anywhere; 0 where there are no two such frames."""
+    """Half the mean squared difference of neighbouring frames' errors (n,) within strokes, which is the noise's
+    variance: of resting frames, or of all if fewer than _FEWEST pairs rest; 0 without pairs."""
     pair = stroke[1:] == stroke[:-1]
     still = pair & ~moving[1:] & ~moving[:-1]
     used = still if still.sum() >= _FEWEST else pair
@@ -159,9 +161,10 @@ def _variance_at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: Mask) 
 
 
 def _repeated_by_passes(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:
-    """rms of the error (n,) that different strokes share at one place `at` (n,): root of the mean product of errors of
-    the next _NEIGHBOURS on the path from different strokes within _TOGETHER noises at rest; 0 where few are. Frames
-    that move only: where the tip rests for many frames the path is what they show."""
+    """rms of the part of the error (n,) that different strokes share at one place: root of the mean product of two
+    errors from different strokes, each with its next _NEIGHBOURS along the path if these are within _TOGETHER times
+    at_rest, the noise. at (n,): place along the path; all in the sensor's unit. For frames that move only, as where the
+    tip rests for many frames the path follows their errors. 0 with fewer than _FEWEST pairs."""
     order = np.argsort(at)
     error, at, stroke = error[order], at[order], stroke[order]
     total, count = 0.0, 0

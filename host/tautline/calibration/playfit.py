@@ -60,8 +60,8 @@ class Curves:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each kind of unknown is in a fit's normal equations: follow channel by channel, backlash, effect values,
-    the delay, then `extra` further columns."""
+    """The indices of each kind of unknown in a fit's normal equations, in this order: the followed curve's coefficients
+    channel by channel, B's, the effects' values, the delay, then `extra` further columns."""
 
     follow_size: int
     channels: int
@@ -71,24 +71,24 @@ class Layout:
 
     @property
     def follow(self) -> list[slice]:
-        """The coefficients of the curve that is followed, for each channel."""
+        """The indices of the followed curve's coefficients, a slice for each channel."""
         size = self.follow_size
         return [slice(k * size, (k + 1) * size) for k in range(self.channels)]
 
     @property
     def backlash(self) -> slice:
-        """The coefficients of B."""
+        """The indices of B's coefficients."""
         first = self.channels * self.follow_size
         return slice(first, first + self.backlash_size)
 
     @property
     def effects(self) -> slice:
-        """The effects' values."""
+        """The indices of the effects' values."""
         return slice(self.backlash.stop, self.backlash.stop + self.effects_size)
 
     @property
     def delay(self) -> int:
-        """The delay."""
+        """The index of the delay."""
         return self.channels * self.follow_size + self.backlash_size + self.effects_size
 
     @property
@@ -127,7 +127,7 @@ class PlayFit:
         self.grid = np.linspace(self.backlash.low, self.backlash.high, NODES)
 
     def layout(self, curves: Curves, extra: int = 0) -> Layout:
-        """The order of the unknowns in this fit's normal equations. extra: columns beside them."""
+        """The order of the unknowns in this fit's normal equations. extra: number of columns beside them."""
         channels, values = curves.follow.shape[1], len(curves.effect_values)
         return Layout(self.follow.size, channels, self.backlash.size, values, extra)
 
@@ -137,7 +137,8 @@ class PlayFit:
         return self.fit_backlash or self.fit_delay or (self.effects is not None and self.fit_effects)
 
     def width(self, curves: Curves) -> Array:
-        """B (nodes,) on the fit's grid, limited to what a table may have, or as it is given."""
+        """B (nodes,) on the fit's grid: `given_width` if there is one; else the spline, limited to what a table may
+        have (B >= 0, |B'| <= STEEPEST)."""
         if self.given_width is not None:
             return self.given_width
         return allowed_width(self.grid, self.backlash.value(curves.backlash, self.grid))
@@ -145,13 +146,13 @@ class PlayFit:
     # ---- prediction
 
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
-        """Simulates every track (sets `simulated`). By track: (y - predicted) / sigma (n, k), and which frames count
+        """Simulates every track (sets `simulated`). By track: whitened residuals (n, k), and which frames count
         (n,)."""
         self.simulate(curves)
         return self.residuals_of_simulated(curves)
 
     def simulate(self, curves: Curves) -> None:
-        """Sets `simulated`, what the play does at each frame of every track, by B, delay and effects of the curves."""
+        """Sets `simulated`: what the play does at each frame of every track with the curves' B, delay and effects."""
         width = self.width(curves)
         self.simulated = [
             prepared.simulate(self.grid, width, curves.delay_s, self.hysteresis, self.effects, curves.effect_values)
@@ -159,7 +160,8 @@ class PlayFit:
         ]
 
     def residuals_of_simulated(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
-        """As `residuals`, of curves whose B, delay and effects are those that were simulated last."""
+        """As `residuals`, but with `simulated` as it is: B, delay and effects must be those that were simulated
+        last."""
         residuals, masks = [], []
         for prepared, sim in zip(self.tracks, self.simulated, strict=True):
             y = self.predicted(prepared.track, curves, sim.tip)
@@ -169,7 +171,8 @@ class PlayFit:
         return residuals, masks
 
     def predicted(self, track: Track, curves: Curves, tip: Array) -> Array:
-        """y (n, k), sensor's unit, at each frame of a track, the tip being at `tip` (n,) of the followed curve."""
+        """y (n, k), sensor's unit, at each frame of a track, if the tip is at positions `tip` (n,), unit of q, along
+        the followed curve."""
         s = self.follow.value(curves.follow, tip)
         if self.view is None:
             return s
@@ -177,20 +180,21 @@ class PlayFit:
         return self.view(s[:, 0], translation, rotation)[0]
 
     def slope_in_view(self, track: Track, curves: Curves, tip: Array) -> Array:
-        """dy/dp (n, k), sensor's unit per unit of q, at each frame of a track, the tip being at `tip` (n,)."""
+        """dy/dp (n, k), sensor's unit per unit of q, at each frame of a track, if the tip is at positions `tip` (n,),
+        unit of q."""
         return self.follow.slope(curves.follow, tip) * self._view_slope(track, curves, tip, slice(None))
 
     def _view_slope(self, track: Track, curves: Curves, tip: Array, keep: Mask | slice) -> Array:
-        """dy/ds (kept, k), sensor's unit, the tip being at `tip` (kept,) at the frames that are kept; 1 (1, channels)
-        where s is y itself."""
+        """dy/ds (kept, k), sensor's unit, at the frames that are kept, if the tip is at positions `tip` (kept,), unit
+        of q; ones (1, channels) if s is y itself."""
         if self.view is None:
             return np.ones((1, curves.follow.shape[1]))
         translation, rotation = track.others_at(track.scene_s(curves.delay_s)[keep])
         return self.view(self.follow.value(curves.follow, tip)[:, 0], translation, rotation)[1]
 
     def slopes(self, prepared: PreparedTrack, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
-        """Derivatives of the tip's place at the frames that are kept: by B there (kept,); and (kept, m_e + 1) by the
-        effects' values and the delay. 0 for what is not fitted."""
+        """Derivatives of the tip's place at the frames that are kept: (kept,) by B there; and (kept, m_e + 1) by the
+        effects' values and, last, the delay. 0 for what is not fitted."""
         by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, sim.p[keep]))
         by_values = np.empty((len(by_b), 0))
         if self.effects is not None and (self.fit_effects or self.fit_delay or self.fit_backlash):
@@ -209,12 +213,12 @@ class PlayFit:
     # ---- the fit
 
     def solve(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True) -> Fitted:
-        """Damped Gauss-Newton steps from `start`, outliers weighed down (Huber). adapt: the smoothing moves to the
-        restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
+        """Fits by damped Gauss-Newton steps from `start`, with Huber's weights for outliers. adapt: `smoothing` moves
+        to the restricted likelihood's maximum (Fellner-Schall steps), in this fit; else it stays."""
         return self.fitted(self.descended(start, iterations, adapt))
 
     def fitted(self, point: Point) -> Fitted:
-        """What is known at this point, where this fit's descent ended."""
+        """The solved fit at this point, where its descent ended, with weights and covariance there."""
         curves, residuals, masks = point.curves, point.residuals, point.masks
         scale, weights = _huber_weights(residuals, masks)
         weights = self.weights_with_rounding(weights, curves, scale)
@@ -224,7 +228,8 @@ class PlayFit:
         return Fitted(self, curves, scale, residuals, masks, weights, covariance)
 
     def descended(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True) -> Point:
-        """Where `solve` ends, without the covariance there."""
+        """The point where `solve` ends, without weights and covariance. Sets `simulated` and, with adapt,
+        `smoothing`."""
         # The descent sees no frame that cannot count; the smoothing that it adapts is this fit's own.
         counting = replace(self, tracks=[prepared.counting for prepared in self.tracks], smoothing=self.smoothing)
         point = descend(_Descent(counting, adapt), Point.of(counting, start), iterations)
@@ -234,15 +239,17 @@ class PlayFit:
         return point
 
     def step(self, curves: Curves, residuals: list[Array], masks: list[Mask]) -> Curves:
-        """One Gauss-Newton step, all counted frames weighing 1; after `residuals` with the same curves."""
+        """The curves after one Gauss-Newton step with weight 1 for all counted frames. residuals, masks: of `residuals`
+        with these curves, called just before."""
         matrix, gradient = self.normal(curves, residuals, [m.astype(float) for m in masks])
         system = matrix + self.penalty(curves, 1.0)[0]
         ridge = _RIDGE * np.eye(len(system)) * np.trace(system) / len(system)
         return self.moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
 
     def moved(self, curves: Curves, step: Array) -> Curves:
-        """The curves after a step (m,) of the unknowns, within their limits: B moves by _FARTHEST at most and stays at
-        0 or above, the delay moves by _LATEST_S at most, effects stay in their ranges; what is not fitted stays."""
+        """The curves after a step (m,) of the unknowns, within limits. B's coefficients move by _FARTHEST of the range
+        at most and stay at 0 or above, the delay moves by _LATEST_S at most, and effects stay in their ranges; what is
+        not fitted stays."""
         layout = self.layout(curves)
         backlash = curves.backlash
         if self.fit_backlash:
@@ -256,8 +263,8 @@ class PlayFit:
         return replace(curves, backlash=backlash, follow=follow, delay_s=delay, effect_values=values)
 
     def weights_with_rounding(self, weights: Sequence[Array], curves: Curves, scale: float) -> list[Array]:
-        """By track: the weights (n,) of frames, less where a sensor rounds, whose frames of one rest share an error
-        (rounding.py). scale: residuals over the noise. After `residuals` with the same curves."""
+        """By track: the frames' weights (n,), reduced for a sensor that rounds, as the frames of one rest share an
+        error (rounding.py). scale: rms residual over noise. To be called after `residuals` with the same curves."""
         return [
             weight
             * independence_weights(prepared.track, self.predicted(prepared.track, curves, sim.tip), prepared.use, scale)
@@ -269,8 +276,9 @@ class PlayFit:
     def normal(
         self, curves: Curves, residuals: list[Array], weights: list[Array], extra: Sequence[Array] | None = None
     ) -> tuple[Array, Array]:
-        """J'WJ (m, m) and J'Wr (m,) of the whitened problem, unknowns as in `layout`. weights (n,) by track; extra:
-        further columns (n, e) of each track, derivatives of the tip's place. After `residuals` with the same curves."""
+        """J'WJ (m, m) and J'Wr (m,) of the whitened problem, without penalties; unknowns as in `layout`. weights (n,)
+        by track; extra: further columns (n, e) by track, derivatives of the tip's place. To be called after `residuals`
+        with the same curves."""
         layout = self.layout(curves, extra[0].shape[1] if extra else 0)
         matrix, gradient = np.zeros((layout.total, layout.total)), np.zeros(layout.total)
         # Channels share no unknowns of the followed curve, so each has its own sums: B, its own curve, then the rest.
@@ -307,9 +315,10 @@ class PlayFit:
     # ---- smoothness, constraints and priors
 
     def penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
-        """Matrix P (m, m) and gradient (m,), P theta where it is quadratic about 0, of half of what `cost` adds to the
-        data: smoothness, violated constraints and priors, the latter two in units of scale^2 (scale: residual over
-        noise). What is not fitted is held by a unit diagonal, the delay by its sigma."""
+        """Half the Hessian P (m, m) and half the gradient (m,) of what `cost` adds to the data's squares; the gradient
+        is P theta for a penalty that is quadratic about 0. They are of smoothness, violated constraints and priors, the
+        latter two in units of scale^2 (scale: rms residual over noise). What is not fitted is held by a unit diagonal,
+        the delay by its sigma."""
         layout = self.layout(curves)
         matrix, pull = np.zeros((layout.total, layout.total)), np.zeros(layout.total)
         known_path = self._path_prior(curves)
@@ -324,17 +333,9 @@ class PlayFit:
                 pull[block] += scale * scale * pulled
         if self.fit_backlash:
             block = layout.backlash
-            rough = self.smoothing["backlash"] * self.backlash.roughness
-            matrix[block, block] += rough
-            pull[block] += rough @ curves.backlash
-            stiff, bend = _steep_steps(curves.backlash, STEEPEST * _WITHIN * self.backlash.step)
-            weight = _STIFF * scale * scale / self.backlash.step**2
-            matrix[block, block] += weight * stiff
-            pull[block] += weight * bend
-            if self.beforehand is not None:
-                known, pulled, _ = self.beforehand.of_width(self.backlash, curves.backlash)
-                matrix[block, block] += scale * scale * known
-                pull[block] += scale * scale * pulled
+            own, own_pull = self._width_penalty(curves, scale)
+            matrix[block, block] += own
+            pull[block] += own_pull
         else:
             matrix[layout.backlash, layout.backlash] += np.eye(self.backlash.size)
         if self.rising:
@@ -354,36 +355,50 @@ class PlayFit:
             matrix[at, at] += scale * scale * self.effects.precision if self.fit_effects else 1.0
         return matrix, pull
 
+    def _width_penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
+        """The part of `penalty` for B's coefficients, (m_b, m_b) and (m_b,): smoothness, |B'| <= STEEPEST as a stiff
+        penalty, and what is known of B beforehand."""
+        rough = self.smoothing["backlash"] * self.backlash.roughness
+        stiff, bend = _steep_steps(curves.backlash, STEEPEST * _WITHIN * self.backlash.step)
+        weight = _STIFF * scale * scale / self.backlash.step**2
+        matrix, pull = rough + weight * stiff, rough @ curves.backlash + weight * bend
+        if self.beforehand is not None:
+            known, pulled, _ = self.beforehand.of_width(self.backlash, curves.backlash)
+            matrix += scale * scale * known
+            pull += scale * scale * pulled
+        return matrix, pull
+
     def _path_beforehand(self, channels: int) -> Beforehand | None:
-        """What is known of the followed curve and the delay beforehand, if the curve is in the sensor's own coordinates
-        and these are as many; else None."""
+        """What is known beforehand of path and delay, if the followed curve is in the sensor's own coordinates and has
+        as many channels as the known path; else None."""
         known = self.beforehand
         return known if known is not None and self.view is None and len(known.path) == channels else None
 
     def _path_prior(self, curves: Curves) -> list[Term]:
-        """The prior's Term of each channel of the followed curve; empty where nothing is known of it."""
+        """The prior's Term of each channel of the followed curve; an empty list if nothing is known of it."""
         known = self._path_beforehand(curves.follow.shape[1])
         return [] if known is None else known.of_path(self.follow, curves.follow)
 
     def _bending(self, channels: int) -> tuple[Array, int]:
-        """Smoothness penalty (m_f, m_f) on each channel of the followed curve, and its rank. Of a curve that is known
-        beforehand at places only the bending between them is penalised."""
+        """Smoothness penalty (m_f, m_f) on each channel of the followed curve, and its rank. If the curve is known
+        beforehand at some places, only the bending between these is penalised."""
         known = self._path_beforehand(channels)
         if known is None:
             return self.follow.bending, self.follow.size - 2
         return free_bending(self.follow, tuple(known.path[0].q.tolist()))
 
     def hold_at_limits(self, curves: Curves, matrix: Array, gradient: Array) -> None:
-        """Takes out of the normal equations, in place, the effects' values that are at an end of their range beyond
-        which the gradient leads."""
+        """Changes the normal equations in place so that those effects' values do not move that are at an end of their
+        range which the gradient would take them beyond: sets their rows, columns and gradient to 0."""
         assert self.effects is not None
         first = len(gradient) - 1 - len(curves.effect_values)
         ends = first + self.effects.at_ends(curves.effect_values, gradient[first:-1])
         matrix[ends, :] = matrix[:, ends] = gradient[ends] = 0.0
 
     def begin_smoothing(self, curves: Curves, scale: float) -> None:
-        """Sets each smoothing factor to scale^2 rank / (c' P c), the one at which a curve of coefficients c is as rough
-        as its prior has it, P its penalty's matrix of this rank. scale: residual over noise."""
+        """Sets each smoothing factor to scale^2 rank / (c' P c), the one at which a curve with coefficients c is as
+        rough as its prior has it. P is its penalty's matrix; rank is that of P, for B that of its second differences
+        alone. scale: rms residual over noise."""
         bending, rank = self._bending(curves.follow.shape[1])
         rough = sum(float(c @ bending @ c) for c in curves.follow.T)
         rank *= curves.follow.shape[1]
@@ -393,9 +408,10 @@ class PlayFit:
         self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), _BEGINS, _MOST_SMOOTHING))
 
     def adapt_smoothing(self, curves: Curves, system: Array, scale: float) -> None:
-        """One Fellner-Schall step of each smoothing factor lambda towards the restricted likelihood's maximum: lambda
-        <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c), C the inverse of `system` (m, m), the
-        normal matrix with all penalties; at most a factor of _AT_ONCE. scale: residual over noise."""
+        """One Fellner-Schall step of each smoothing factor lambda towards the restricted likelihood's maximum, by at
+        most a factor of _AT_ONCE: lambda <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c). C is the
+        inverse of `system` (m, m), the normal matrix with all penalties; P, rank and c are as in `begin_smoothing`.
+        scale: rms residual over noise."""
         layout = self.layout(curves)
         inverse = inverse_of(with_ridge(system))
         bending, rank = self._bending(layout.channels)
@@ -416,9 +432,9 @@ class PlayFit:
             )
 
     def cost(self, curves: Curves, residuals: list[Array], weights: list[Array], scale: float) -> float:
-        """Weighted squares of the residuals (over noise) plus the penalties of smoothness, constraints and priors, the
-        latter two in units of scale^2; infinite where no frame counts. The squares are of as many frames as may count:
-        those that drop out of the simulation are no gain."""
+        """Weighted squares of the residuals (over noise), plus the penalties of smoothness, constraints and priors, the
+        latter two in units of scale^2. The squares are scaled up to as many frames as may count, so that frames that
+        drop out of the simulation are no gain. Infinite if no frame counts."""
         used = sum(float(np.sum(w > 0)) for w in weights)
         if used == 0:
             return np.inf
@@ -456,7 +472,7 @@ class Point:
 
     @property
     def scale(self) -> float:
-        """rms residual over the stated noise, outliers apart."""
+        """rms residual over the stated noise, with outliers cut."""
         return _huber_weights(self.residuals, self.masks)[0]
 
     @classmethod
@@ -466,7 +482,7 @@ class Point:
         return cls(curves, residuals, masks, fit.simulated)
 
     def moved(self, fit: PlayFit, step: Array) -> Point:
-        """The point a step further."""
+        """The point after a step (m,) of the fit's unknowns, simulated anew only if the step moves the tip's place."""
         curves = fit.moved(self.curves, step)
         if fit.moves_tip:
             return Point.of(fit, curves)
@@ -484,8 +500,8 @@ class _Descent:
         self.steps = self.small_steps = 0
 
     def linearised(self, point: Point) -> tuple[Array, Array, float]:
-        """Normal matrix, gradient that lowers the cost, and cost at a point, with new weights and, from the second on,
-        adapted smoothing."""
+        """Normal matrix, gradient that lowers the cost, and cost at a point. Sets scale and weights anew; starts the
+        smoothing at the first call and adapts it at later ones, if it adapts."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
         self.scale, weights = _huber_weights(point.residuals, point.masks)
@@ -503,7 +519,7 @@ class _Descent:
         return matrix + penalty, gradient - pull, fit.cost(curves, point.residuals, self.weights, self.scale)
 
     def moved(self, point: Point, step: Array) -> Point:
-        """The point a step further."""
+        """The point after a step (m,)."""
         return point.moved(self.fit, step)
 
     def cost(self, point: Point) -> float:
@@ -514,8 +530,8 @@ class _Descent:
         return self.fit.cost(point.curves, point.residuals, weights, self.scale)
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether two steps in a row gained too little: _GAIN, or _LITTLE of the cost while the residuals are clearly
-        more than noise (_MUCH_LEFT)."""
+        """Whether this and the previous step gained too little, so that the descent ends: less than _GAIN, or, while
+        residuals are clearly more than noise (_MUCH_LEFT), less than _LITTLE of the cost."""
         least = max(_GAIN * self.scale * self.scale, _LITTLE * cost * (self.scale > _MUCH_LEFT))
         self.small_steps = self.small_steps + 1 if gained < least else 0
         return self.small_steps >= 2
@@ -553,8 +569,8 @@ class Fitted:
         return self.scale < EXPLAINED
 
     def width_sigma(self, p: Array) -> Array:
-        """Standard deviation of B at positions p (k,): `spread` where model error is known, else that of the residuals'
-        noise."""
+        """Standard deviation (k,) of B at positions p (k,), unit of q: `spread` if model error is known, else by the
+        residuals' noise alone."""
         if self.spread is not None:
             return np.asarray(np.interp(p, self.fit.grid, self.spread))
         design = self.fit.backlash.design(p).toarray()
@@ -563,8 +579,8 @@ class Fitted:
         return np.asarray(np.sqrt(np.maximum(np.sum((design @ covariance) * design, axis=1), 0.0)))
 
     def path(self) -> tuple[Array, Array]:
-        """(nodes, channels) each: the followed curve in the unit of s, and its standard deviation by the residuals'
-        noise."""
+        """The followed curve (nodes, channels) in the unit of s, and its standard deviation (nodes, channels) by the
+        residuals' noise."""
         design = self.fit.follow.design(self.fit.grid).toarray()
         blocks = self.fit.layout(self.curves).follow
         variance = [np.sum((design @ self.covariance[block, block]) * design, axis=1) for block in blocks]
@@ -572,30 +588,33 @@ class Fitted:
 
     @property
     def delay_sigma(self) -> float:
-        """Standard deviation of the delay, s, with model error where that is known; 0 where the delay was not
-        fitted."""
+        """Standard deviation of the delay, s: `delay_spread` if model error is known; else by the residuals' noise
+        alone, 0 if the delay was not fitted."""
         if self.spread is not None:
             return self.delay_spread
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
 
 
 def rms_of_frame_powers(power: Array, scale: float) -> float:
-    """Root of the mean of frames' mean squared residuals (frames,), cut at (STRAY scale)^2; infinite of none."""
+    """rms residual of frames with mean squared residuals `power` (frames,), each cut at (STRAY scale)^2; infinite
+    without frames."""
     return float(np.sqrt(np.mean(np.minimum(power, (STRAY * scale) ** 2)))) if len(power) else np.inf
 
 
 def _ones_where_uncounted(weights: list[Array], masks: list[Mask]) -> list[Array]:
-    """Weights (n,) by track, 1 where the mask does not hold."""
+    """The weights (n,) by track, with 1 for frames that the mask leaves out."""
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
 def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, list[Array]]:
-    """Scale of the residuals (rms over noise, outliers cut at STRAY scales; 1 without frames) and each frame's Huber
-    weight, min(1, STRAY scale / its rms), 0 where it does not count."""
+    """The scale of the residuals (n, k) over noise, by track, at frames of the masks (n,): their rms, with frames cut
+    at STRAY times the usual one (by the median); 1 without frames. And each frame's Huber weight, min(1, STRAY scale /
+    its rms), 0 where it does not count."""
     each = [np.sqrt(np.einsum("nk,nk->n", r, r) / r.shape[1]) for r in residuals]
     norm = np.concatenate([size[m] for size, m in zip(each, masks, strict=True)])
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
+    # A first scale by the median, which outliers do not move.
     middle = float(np.sqrt(np.median(norm**2))) * _USUAL[residuals[0].shape[1]]
     limit = STRAY * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
@@ -606,8 +625,8 @@ def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, li
 
 
 def _steep_steps(coefficients: Array, limit: float) -> tuple[Array, Array]:
-    """Matrix (m, m) and gradient (m,) of half the sum of squares by which neighbouring coefficients (m,) differ by more
-    than `limit`."""
+    """Matrix (m, m) and gradient (m,) of half the sum of squared excesses, by which neighbouring coefficients (m,)
+    differ by more than `limit`."""
     difference = np.diff(coefficients)
     over = np.abs(difference) > limit
     d = np.diff(np.eye(len(coefficients)), axis=0)[over]
@@ -616,8 +635,8 @@ def _steep_steps(coefficients: Array, limit: float) -> tuple[Array, Array]:
 
 
 def _wrong_way_steps(coefficients: Array, rising: float, least: float) -> tuple[Array, Array]:
-    """Matrix (m, m) and gradient (m,) of half the sum of squares by which steps between neighbouring coefficients (m,)
-    fall short of a rise (rising +1) or fall (-1) by `least`."""
+    """Matrix (m, m) and gradient (m,) of half the sum of squared shortfalls, by which steps between neighbouring
+    coefficients (m,) are less than `least` in the direction `rising` (+1 up, -1 down)."""
     difference = rising * np.diff(coefficients)
     under = difference < least
     d = rising * np.diff(np.eye(len(coefficients)), axis=0)[under]

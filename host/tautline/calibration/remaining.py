@@ -53,27 +53,28 @@ class Remaining:
 
 
 def view_of(rig: Rig) -> View:
-    """The projection as a fit's view: c (n,) deg to image positions and their slope."""
+    """The rig's projection as the `View` of a fit whose followed curve is the bending angle."""
 
     def view(c: Array, translation: Array, rotation: Array) -> tuple[Array, Array]:
-        """(n, k) image positions, px, and their slope by the bending angle c (n,), deg."""
+        """(n, k) image positions, px, and their slope by the bending angle, px per deg. c (n,): bending angle, deg;
+        translation (n,), mm; rotation (n,), deg."""
         return project_with_slope(rig, c, translation, rotation)
 
     return view
 
 
 def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
-    """Bending angle (n,) deg of each frame: by inverting the projection (paper, eq. 8) for a marker, as it is from an
-    angle sensor."""
+    """Bending angle (n,), deg, at each frame: for a marker by inverting the projection (paper, eq. 8), for an angle
+    sensor what it shows. delay_s: of the sensor, s."""
     if track.unit == "deg":
         return track.y[:, 0]
     return pose(rig, track.y, *track.others_at(track.scene_s(delay_s)))[0]
 
 
 def track_by_pose(track: Track, rig: Rig, delay_s: float) -> Track:
-    """A marker's track as bending angles by pose, with the image's noise divided by the projection's slope; frames
-    whose image hardly moves with the angle are left out. What other degrees of freedom move is taken out, as exactly as
-    camera, hand_eye and kinematics are."""
+    """A marker's track turned into bending angles, deg, by pose, with the image's noise divided by the projection's
+    slope. Frames at which the image hardly moves with the angle are left out. What translation and rotation do to the
+    image is taken out, as exactly as camera, hand_eye and kinematics are known."""
     others = track.others_at(track.scene_s(delay_s))
     c, _ = pose(rig, track.y, *others)
     _, slope = project_with_slope(rig, c, *others)
@@ -96,10 +97,11 @@ def fit_remaining(
     effects_and_values: tuple[FittedEffects, Array] | None = None,
     shared: Sequence[Array] = (),
 ) -> Remaining | None:
-    """f_remain as a monotone penalised spline in the play's centre, fitted to the image through the projection (or to
-    angles), with B width (grid,), delay, s, hysteresis and effects held. settled_only: frames before the tip was driven
-    both ways do not count. shared: by track errors (n, channels, m), sensor's unit, m that all frames share, each one
-    standard deviation. Beyond what was reached it goes on straight. None where hardly anything moved."""
+    """f_remain: a monotone penalised spline in the play's centre, fitted to the image through the projection (or to
+    angles), with B width (grid,), delay, s, hysteresis and effects held. Beyond the positions that were reached it is
+    straight. None if hardly anything moved. settled_only: frames before the tip was driven both ways do not count.
+    shared: by track, m errors (n, channels, m), sensor's unit, each of which all frames share, one standard deviation
+    large; they add to sigma."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     prepared = [PreparedTrack.of(track) for track in tracks]
@@ -135,19 +137,20 @@ def fit_remaining(
     px = float(np.hypot(max(track.tracked_px for track in tracks), _beside_the_path_px(fitted)))
     sigma = np.hypot(np.sqrt(variance), tracked_deg(px, rig, lawful))
     times = noise.times(grid) / np.sqrt(np.mean(noise.times(counted) ** 2)) if noise.differs else None
-    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, notes, fitted, times)
+    return Remaining(lawful, sigma, _rms_residual(fitted, tracks), fitted.scale, notes, fitted, times)
 
 
 def _curve_through(basis: Basis, p: Array, c: Array) -> Array:
-    """(size,) coefficients of a spline that bends little through angles c (n,), deg, at positions p (n,), unit of q."""
+    """Spline coefficients (size,) of a curve with little bending nearest to angles c (n,), deg, at positions p (n,),
+    unit of q."""
     design = basis.design(p)
     system = (design.T @ design).toarray() + _BEND * basis.bending + _RIDGE * np.eye(basis.size)
     return np.asarray(np.linalg.solve(system, design.T @ c))
 
 
 def _note_on_turning_back(grid: Array, changed: Array, unit: str) -> str:
-    """The note that f_remain turned back, and between which positions: where it was changed by more than half of the
-    most. changed (grid,): by how much it was changed so that it rises or falls everywhere, deg."""
+    """The note that f_remain turned back, and between which positions: those where it was changed by more than half of
+    the largest change. changed (grid,): by how much it was changed, deg, to rise or fall everywhere."""
     low, high = grid[changed > 0.5 * changed.max()][[0, -1]]
     return (
         f"f_remain turns back between {low:.3g} and {high:.3g} {unit}, by {changed.max():.2g} deg: "
@@ -156,8 +159,8 @@ def _note_on_turning_back(grid: Array, changed: Array, unit: str) -> str:
 
 
 def _variance(fitted: Fitted, grid: Array, shared: Sequence[Array], changed: Array) -> Array:
-    """(grid,) variance of f_remain, deg^2: by the residuals' noise, by errors that all frames share (as of
-    `fit_remaining`) and by how much the curve was changed to have an inverse, (grid,) deg."""
+    """(grid,) variance of f_remain, deg^2: by the residuals' noise; by errors that all frames share (as in
+    `fit_remaining`); and the square of changed (grid,), deg, by how much the curve was changed to have an inverse."""
     size = fitted.fit.follow.size
     design = fitted.fit.follow.design(grid).toarray()
     variance = np.maximum(np.sum((design @ fitted.covariance[:size, :size]) * design, axis=1), 0.0) + changed**2
@@ -167,8 +170,9 @@ def _variance(fitted: Fitted, grid: Array, shared: Sequence[Array], changed: Arr
 
 
 def with_straight_ends(curve: Array, grid: Array, low: float, high: float) -> Array:
-    """The curve (grid,) with straight ends beyond [low, high], the positions that were reached, with its mean slope
-    over the share _END of them at that end: a spline says nothing of where no data are."""
+    """The curve (grid,) with straight lines in place of what is beyond [low, high], the positions that were reached: a
+    spline tells nothing there. A line's slope is the curve's mean slope over the share _END of the range at that
+    end."""
     end = _END * (high - low)
     low_value, low_next, high_next, high_value = np.interp([low, low + end, high - end, high], grid, curve)
     below = low_value + (low_next - low_value) / end * (grid - low)
@@ -177,8 +181,8 @@ def with_straight_ends(curve: Array, grid: Array, low: float, high: float) -> Ar
 
 
 def _change_of_solution(fitted: Fitted, errors: Sequence[Array]) -> Array:
-    """(unknowns, m) The change of the fit's solution, to first order, by each of m errors of the frames. errors: of
-    each track (n, channels, m), sensor's unit."""
+    """(unknowns, m) the change of the fit's solution, to first order, by each of m errors of the frames, one standard
+    deviation each. errors: by track (n, channels, m), sensor's unit."""
     fit, curves = fitted.fit, fitted.curves
     over_noise = [each / prepared.track.sigma[:, None, None] for each, prepared in zip(errors, fit.tracks, strict=True)]
     system, gradients = fit.penalty(curves, fitted.scale)[0], []
@@ -189,10 +193,10 @@ def _change_of_solution(fitted: Fitted, errors: Sequence[Array]) -> Array:
 
 
 def _beside_the_path_px(fitted: Fitted) -> float:
-    """Systematic error of camera, hand_eye and kinematics, px, as the marker shows it beside the path that the rig has
-    for it: the rms over _PARTS equal parts of the range, of those with _FEW frames or more, of the weighted mean
-    distance across that path, less the variance of these means. Only across the path does such an error show; along it
-    f_remain takes it in, and the same size is assumed there. 0 for an angle sensor."""
+    """Systematic error, px, of camera, hand_eye and kinematics: the rms, over equal parts of the range, of the marker's
+    mean distance beside the rig's path, less the variance that the noise gives these means. Only across the path does
+    such an error show, as f_remain takes it in along the path; along it the same size is assumed. Parts with fewer than
+    _FEW frames do not count; 0 if none does, and for an angle sensor."""
     fit = fitted.fit
     if fit.view is None:  # an angle sensor
         return 0.0
@@ -204,6 +208,7 @@ def _beside_the_path_px(fitted: Fitted) -> float:
         rows.append(np.column_stack([sim.tip[use], beside, own[use] / prepared.track.sigma[use] ** 2]))
     place, beside, weight = np.concatenate(rows).T  # unit of q, px, 1/px^2 as in the fit
     part = np.digitize(place, np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
+    # Sums over each part's frames, for its weighted mean and variance.
     terms = (weight, weight * beside, weight * beside**2, weight**2)
     weights, first, second, squared = (np.bincount(part, term, _PARTS) for term in terms)
     told = np.bincount(part, minlength=_PARTS) >= _FEW
@@ -215,9 +220,9 @@ def _beside_the_path_px(fitted: Fitted) -> float:
     return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
 
 
-def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
-    """rms residual per coordinate, px or deg, of the frames that count; a frame's residual over its noise is cut at
-    _STRAY times the median one. 0 without frames."""
+def _rms_residual(fitted: Fitted, tracks: Sequence[Track]) -> float:
+    """rms residual per coordinate, px or deg, of the counted frames, each cut at _STRAY times the median residual over
+    noise; 0 without frames."""
     off = np.concatenate(
         [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(fitted.residuals, fitted.masks, strict=True)]
     )
@@ -228,11 +233,13 @@ def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
 
 
 def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Array:
-    """The nearest curve, deg on grid (n,), that rises (or falls) by at least least_slope, deg per unit of q,
-    everywhere: isotonic regression of the curve less that slope."""
+    """The nearest curve, deg on grid (n,), that rises (or falls, if `falling`) by at least least_slope, deg per unit of
+    q, everywhere: isotonic regression of the curve less that slope."""
+    # Rising by least_slope everywhere is rising at all once that slope is subtracted.
     tilt = least_slope * (grid - grid[0])
     sign = -1.0 if falling else 1.0
     rising = isotonic_regression(sign * curve - tilt).x + tilt
+    # Strictly: isotonic regression may leave equal neighbours.
     strict = rising + 1e-9 * (grid - grid[0]) * max(least_slope, 1e-6)
     return np.asarray(sign * strict)
 
@@ -241,9 +248,9 @@ def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Ar
 
 
 def _median_line(courses: Sequence[Array]) -> tuple[Array, Array]:
-    """(m,) motor positions, unit of q, and angles, deg: draws each recording's course (n, 2) of both, fills the holes,
-    and takes the middle between the leftmost and the rightmost of each row (paper, section IV). Empty where nothing is
-    drawn."""
+    """The paper's median line (section IV): motor positions (m,), unit of q, and angles (m,), deg. Each recording's
+    course (n, 2) of both is drawn as a picture, gaps are closed, and the middle between the leftmost and the rightmost
+    pixel of each row (angle) is taken. Empty if nothing can be drawn."""
     courses = [course[np.isfinite(course).all(axis=1)] for course in courses]
     q, c = np.concatenate(courses).T
     if len(q) < 3 or np.ptp(q) == 0 or np.ptp(c) == 0:
@@ -269,9 +276,8 @@ def _median_line(courses: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def fit_morphologically(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
-    """f_remain as the median line of the filled characteristic of all frames by pose, smoothed by a spline, as the
-    paper does it: what registration gets wrong bends it (paper, Fig. 7). None where that has fewer rows than
-    _LINE_ROWS."""
+    """f_remain in the paper's way: the median line of the filled characteristic of all frames by pose, smoothed by a
+    spline. Errors of registration bend it (paper, Fig. 7). None if the line has fewer than _LINE_ROWS rows."""
     line, c_of_line = _median_line(
         [np.column_stack([each.motor_at(each.scene_s(delay_s)), pose_of(each, rig, delay_s)]) for each in tracks]
     )
@@ -293,8 +299,8 @@ def fit_morphologically(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s:
 
 
 def _beside_rig_px(tracks: Sequence[Track], rig: Rig, delay_s: float) -> float:
-    """rms per coordinate, px, by which markers are beside every place that the rig has for them, cut at _STRAY
-    medians."""
+    """rms per coordinate, px, of the distance between the markers and the nearest place that the rig has for them, cut
+    at _STRAY times the median."""
     beside = np.concatenate([pose(rig, each.y, *each.others_at(each.scene_s(delay_s)))[1] for each in tracks])
     off = beside[np.isfinite(beside)] / np.sqrt(2.0)
     return float(np.sqrt(np.mean(np.minimum(off, _STRAY * float(np.median(off))) ** 2)))

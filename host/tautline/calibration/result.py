@@ -56,14 +56,15 @@ class Calibration(Value):
     path: tuple[Array, Array] | None = None  # on model.q (k, channels) in the sensor's unit, and its sigma
 
     def to_json(self) -> dict[str, Any]:
-        """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
+        """What `taut calibrate --json` prints: B, f_remain, delay, onsets, evidence, notes, coverage and verdict; null
+        for what is infinite or NaN."""
         model = self.model
         return {
             "unit": model.rig.actuator.unit,
             "backlash": {
                 "q": model.q.tolist(),
                 "width": model.width.tolist(),
-                "sigma": [finite(v) for v in model.width_sigma],
+                "sigma": [finite_or_none(v) for v in model.width_sigma],
                 "measured": list(model.measured),
                 "source": self.source,
                 "elements": model.elements.to_json(),
@@ -73,13 +74,13 @@ class Calibration(Value):
                 "c_deg": model.c_deg.tolist(),
                 "sigma_deg": None
                 if model.c_sigma is None or model.rig.sees_from_tip
-                else [finite(v) for v in model.c_sigma],
+                else [finite_or_none(v) for v in model.c_sigma],
             },
             "delay_s": model.delay_s,
             "offset_s": model.offset_s,
-            "delay_sigma_s": finite(self.delay.sigma_s),
+            "delay_sigma_s": finite_or_none(self.delay.sigma_s),
             "onsets": [onset_json(o, self.names) for o in self.onsets],
-            "evidence": {key: finite(value) for key, value in self.evidence.items()},
+            "evidence": {key: finite_or_none(value) for key, value in self.evidence.items()},
             "notes": list(self.notes),
             "coverage": coverage.to_json(self.gaps, model.rig.actuator.unit),
             "quality": model.quality.to_json(),
@@ -87,8 +88,8 @@ class Calibration(Value):
 
 
 def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
-    """An onset as `taut calibrate --json` prints it: at the time of its turn where the tip did not move again, null for
-    what is infinite. names: of the recordings."""
+    """An onset as `taut calibrate --json` prints it, with null for what is infinite. `t_s` is when the tip moved again
+    or, if it did not, when the motor turned. names: of the recordings; if empty, `recording` is ""."""
     timed = np.isfinite(onset.t_s)
     return {
         "t_s": onset.t_s if timed else onset.turn_s,
@@ -96,18 +97,18 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
         "q1": onset.q1,
         "q2": onset.q2,
         "width": onset.width,
-        "sigma": finite(onset.sigma),
+        "sigma": finite_or_none(onset.sigma),
         "used": onset.tells_width,
         "kind": onset.kind,
         "low": onset.low,
-        "high": finite(onset.high),
+        "high": finite_or_none(onset.high),
         "reason": onset.reason,
         "recording": names[onset.track] if names else "",
     }
 
 
 def foretold(model: Model, track: Track, delay_s: float) -> Foretold:
-    """The model's prediction of a track's frames at this delay, s, in the track's unit, beside what was seen."""
+    """The model's prediction of a track's frames at this delay, s, with what was seen, both in the track's unit."""
     scene = track.scene_s(delay_s)
     told = predict(model, track.reading, scene)
     predicted = told.c_deg[:, None] if track.unit == "deg" else told.image_px
@@ -115,6 +116,6 @@ def foretold(model: Model, track: Track, delay_s: float) -> Foretold:
     return Foretold(track.name, scene, track.y, predicted)
 
 
-def finite(value: float) -> float | None:
-    """None, JSON's null, for what is infinite or NaN."""
+def finite_or_none(value: float) -> float | None:
+    """The value; None, which is JSON's null, if it is infinite or NaN."""
     return float(value) if np.isfinite(value) else None

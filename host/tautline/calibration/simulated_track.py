@@ -1,8 +1,7 @@
-"""What a play with these curves does at each frame of a track: the motor as the frames saw it, the play's centre, and
-which frames tell of it.
+"""Simulates a play at each frame of a track: the motor's positions as the frames saw them, the play's centre, and which
+frames count.
 
-Positions and B are in the unit of q; n frames of a track.
-"""
+Positions and B are in the unit of q; n frames of a track."""
 
 from __future__ import annotations
 
@@ -39,7 +38,7 @@ class Simulated:
 
     @property
     def half_cycle(self) -> npt.NDArray[np.intp]:
-        """(n,) number of the tip's half-cycle at each frame, from 0: it changes with the envelope."""
+        """(n,) number of the tip's half-cycle at each frame, from 0; a new one begins when the envelope changes."""
         return np.asarray(np.cumsum(np.diff(self.side.astype(int), prepend=self.side[:1]) != 0))
 
     @property
@@ -49,13 +48,15 @@ class Simulated:
         return moves
 
     def slopes(self, keep: Mask, slope: Array) -> tuple[Array, Array]:
-        """dp/dB (kept,) and dp/d(delay) (kept,), per s, at the frames that are kept, dB/dp there being `slope`."""
+        """Derivatives of p at the frames that are kept: by B (kept,), and by the delay (kept,), unit of q per s. slope
+        (kept,): dB/dp there."""
         lean = self.lean[keep]
         return by_width(lean, slope), -self.speed[keep] * self.share[keep] / steepness(lean, slope)
 
 
 def half_slope_s(readings: Motor) -> float:
-    """Half the interval, s, over which a motor's speed is taken: a sample's period at least."""
+    """Half the interval, s, over which a motor's speed is taken: the median period of its samples, at least
+    _SLOPE_S."""
     return max(_SLOPE_S, float(np.median(np.diff(readings.t_s)))) if len(readings.t_s) > 1 else _SLOPE_S
 
 
@@ -80,7 +81,8 @@ class MotorAtFrames:
         return np.asarray(np.maximum.accumulate(np.maximum.accumulate(self.positions) - self.positions))
 
     def driven_through(self, travel: float) -> int:
-        """The first of the positions before which the motor had gone up by `travel` and down by it; m if none is."""
+        """The index of the first position by which the motor has gone up by `travel`, unit of q, and down by it; m if
+        there is none."""
         return max(int(np.searchsorted(self.rise, travel)), int(np.searchsorted(self.fall, travel)))
 
 
@@ -104,15 +106,15 @@ class PreparedTrack:
 
     @cached_property
     def counting(self) -> PreparedTrack:
-        """The track with those frames alone that may count, by which a fit descends. Of a sensor that rounds all stay:
-        they tell how long the tip rests."""
+        """The track with only the frames that may count, which is all that a descent needs. For a sensor that rounds
+        all frames stay, as they tell how long the tip rests."""
         if self.use.all() or self.track.step > 0.0:
             return self
         return replace(self, track=self.track.only(self.use), use=self.use[self.use])
 
     def course(self, scene_s: Array, q: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-        """The motor's positions (m,) that a play needs, extremes and those q (n,) at scene_s (n,), in order of time;
-        and which of them (n,) are at scene_s."""
+        """The motor's positions (m,) that a play needs, in order of time: its extremes, and q (n,) at times scene_s
+        (n,), s; and the indices (n,) of the latter."""
         times = np.concatenate([self.corner_t, scene_s])
         order = np.argsort(times, kind="stable")
         back = np.empty(len(times), dtype=np.intp)
@@ -120,8 +122,8 @@ class PreparedTrack:
         return np.concatenate([self.corner_q, q])[order], back[len(self.corner_t) :]
 
     def driven(self, delay_s: float) -> MotorAtFrames:
-        """The motor at the frames for this delay, s. Kept until another delay is asked for: a scan of widths has
-        one."""
+        """The motor at the frames for this delay, s; kept in `last` until another delay is asked for, as many widths
+        are simulated at one delay."""
         if delay_s not in self.last:
             track, scene = self.track, self.track.scene_s(delay_s)
             # Looked up in order of time: neighbours are found at once.
@@ -137,11 +139,11 @@ class PreparedTrack:
         self, grid: Array, width: Array, delay_s: float, hysteresis: Hysteresis = SINGLE,
         effects: FittedEffects | None = None, effect_values: Array | None = None,
     ) -> Simulated:  # fmt: skip
-        """The play of B width (nodes,) on grid (nodes,) at each frame for this delay, s, and what effects of values
-        effect_values (parameters,) make of it. The play is run from both far ends: where both agree it has forgotten
-        its start. With effects the tip's path is theirs (p, tip, side, lean). Which frames tell of it (known, settled)
-        and when the tip moves (share, speed) stay the play's: effects change that little, and a fit with them takes its
-        derivatives by differences of their path, not by these."""
+        """The tip at each frame, by a play of B width (nodes,) on grid (nodes,) at this delay, s, and effects with
+        values effect_values (parameters,). The play is run from both far ends; where both agree it has forgotten its
+        start. With effects p, tip, side and lean are those of their path. Which frames count (known, settled) and when
+        the tip moves (share, speed) stay the play's, as effects change them little; a fit with effects takes its
+        derivatives from their path."""
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
@@ -160,20 +162,20 @@ class PreparedTrack:
 
 
 def _driven_both_ways(driven: MotorAtFrames, travel: float, side: Array, other_side: Array) -> Mask:
-    """(n,) Frames before which the play has been driven through a full backlash in both directions: the motor went up
-    and down by `travel`, unit of q, the falling envelope has moved the run from far below, and the rising one that from
-    far above. side, other_side (m,): the envelope, +1 or -1, that last moved these two runs."""
-    return driven.at >= max(driven.driven_through(travel), _first(side == -1), _first(other_side == 1))
+    """(n,) frames by which the play has been driven through a full backlash in both directions: the motor has gone up
+    and down by `travel`, unit of q; the run from far below has been moved by the falling envelope, and the run from far
+    above by the rising one. side, other_side (m,): envelope, +1 or -1, that last moved each of these two runs."""
+    return driven.at >= max(driven.driven_through(travel), _first_true(side == -1), _first_true(other_side == 1))
 
 
 def _low_quantile_of_width(grid: Array, width: Array, positions: Array) -> float:
-    """The travel, unit of q, that counts as driven through a full backlash: the quantile _SELDOM of B width (nodes,)
-    over those nodes of grid (nodes,) that the positions (m,) span. Not the least B: at the ends of the motion B is
-    hardly measured, and where it came out as 0 any travel would count."""
+    """The travel, unit of q, after which a full backlash counts as driven through: the quantile _SELDOM of B width
+    (nodes,) over the nodes of grid (nodes,) that the positions (m,) span. The least B would not do: at the ends of the
+    motion B is hardly measured, and where it came out as 0 any travel would count."""
     first, last = np.searchsorted(grid, [positions.min(), positions.max()])
     return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
 
 
-def _first(where: Mask) -> int:
-    """The index of the first of (n,) that holds; n where none does."""
+def _first_true(where: Mask) -> int:
+    """The index of the first element of a mask (n,) that is True; n if none is."""
     return int(np.argmax(where)) if where.any() else len(where)

@@ -1,9 +1,8 @@
 """How the joint fit of B, path and delay (playfit.py) is begun and which frames it counts; and the fit of the passes
 alone, whose B is the distance between the ways up and down away from the reversals.
 
-The first approach are the frames before the tip was driven both ways through the backlash: B is not separate from the
-play's unknown start there.
-"""
+The first approach is the frames before the tip was driven both ways through the backlash: there B cannot be told from
+the play's unknown start."""
 
 from __future__ import annotations
 
@@ -54,8 +53,8 @@ class Domain:
 
 
 def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrack]:
-    """Tracks prepared for a fit without poses: frames at which translation and rotation are where they mostly are may
-    count, thinned out evenly to _MOST_FRAMES in all."""
+    """Tracks prepared for a fit without poses, with the noise of each place. Only frames at which translation and
+    rotation are where they mostly are may count, thinned out evenly to _MOST_FRAMES in all."""
     reference = tracks[0].others_reference
     stride = _counted_stride(sum(len(track.t_s) for track in tracks))
     prepared = []
@@ -71,7 +70,7 @@ def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrac
 
 
 def _counted_stride(frames: int) -> int:
-    """Every how manyth of so many frames may count, so that _MOST_FRAMES at most do."""
+    """The stride k so that, if every k-th of this many frames counts, at most _MOST_FRAMES do."""
     return max(1, -(-frames // _MOST_FRAMES))
 
 
@@ -84,9 +83,9 @@ def fit_jointly(
     guess: WidthCurve | None = None,
     beforehand: Beforehand | None = None,
 ) -> Fitted | None:
-    """The joint fit of B, the path in the sensor's own coordinates and the delay (held at delay_s unless fit_delay) to
-    all frames. guess: a B to begin with. What is known of the path beforehand is used only if a fit without it looks
-    like one of these. None where the tip was never driven through a backlash, or too few frames were seen."""
+    """The joint fit of B, the path in the sensor's own coordinates, and the delay (held at delay_s unless fit_delay) to
+    all frames. guess: a B to begin with. What is known of the path beforehand is used only if a fit without it gives a
+    path that may be one of those. None if the tip was never driven through a backlash, or too few frames were seen."""
     if beforehand is None or not beforehand.path:
         return _fit_in_steps(prepared, domain, delay_s, fit_delay, guess, beforehand)
     fitted = _fit_in_steps(prepared, domain, delay_s, fit_delay, guess, replace(beforehand, path=()))
@@ -97,14 +96,15 @@ def fit_jointly(
 
 
 def _path_may_be_one_of(known: Beforehand, fitted: Fitted) -> bool:
-    """Whether the path of a fit without prior may be one more of the known distribution, channel by channel."""
+    """Whether the path of a fit without a prior may be one more draw from the known distribution, in each channel.
+    False if it has another number of channels."""
     basis, follow = fitted.fit.follow, fitted.curves.follow
     if follow.shape[1] != len(known.path):
         return False
     size, told = basis.size, []
     for k, spread in enumerate(known.path):
         design, block = basis.design(spread.q).toarray(), slice(k * size, (k + 1) * size)
-        told.append(spread.has(design @ follow[:, k], design @ fitted.covariance[block, block] @ design.T))
+        told.append(spread.may_contain(design @ follow[:, k], design @ fitted.covariance[block, block] @ design.T))
     return all(told)
 
 
@@ -112,10 +112,10 @@ def _fit_in_steps(
     prepared: Sequence[PreparedTrack], domain: Domain, delay_s: float, fit_delay: bool, guess: WidthCurve | None,
     beforehand: Beforehand | None,
 ) -> Fitted | None:  # fmt: skip
-    """As `fit_jointly`: from the best constant width (or guess) with few spans and few frames, to all of them. The
-    first approach counts if it follows the same curves as the rest, or if positions would be seen one way only without
-    it and it does no harm."""
-    coarse = _start(_thinned(prepared), domain, delay_s, guess, beforehand)
+    """The joint fit, as in `fit_jointly`: first with few spans and few frames, from the best constant B (or the guess),
+    then with all of them. The first approach is counted too if it follows the same curves as the rest, or if without it
+    some positions would be seen one way only and it does no harm to the rest."""
+    coarse = _coarse_start(_thinned(prepared), domain, delay_s, guess, beforehand)
     if coarse is None:
         return None
     fit, curves = coarse
@@ -144,7 +144,7 @@ def _fit_in_steps(
 
 
 def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
-    """The tracks with about _SCANNED of the frames that `prepare_tracks` left to count, evenly spread."""
+    """The tracks with about _SCANNED frames in all, taken evenly from those that `prepare_tracks` let count."""
     frames = sum(len(each.track.t_s) for each in prepared)
     counted = _counted_stride(frames)
     stride = counted * max(1, frames // counted // _SCANNED)
@@ -155,7 +155,7 @@ def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
 
 
 def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
-    """Whether the tip was at positions, by more than _REACHES of the domain, that the counted frames do not cover both
+    """Whether the tip was at positions more than _REACHES of the domain beyond those that the counted frames cover both
     ways."""
     low, high = overlap(fitted)
     known = np.concatenate([s.p[s.known] for s in fitted.fit.simulated])
@@ -163,16 +163,16 @@ def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
 
 
 def _settled_scale(fitted: Fitted) -> float:
-    """rms residual over noise of the frames after the first approach, outliers cut at STRAY scales; infinite where
-    there are none."""
+    """rms residual over noise of the frames after the first approach, outliers cut at STRAY of the fit's scales;
+    infinite without such frames."""
     seen = zip(fitted.residuals, fitted.masks, fitted.fit.simulated, strict=True)
     squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
     return rms_of_frame_powers(squares, fitted.scale)
 
 
 def _predicts_no_worse(whole: Fitted, alone: Fitted) -> bool:
-    """Whether strokes that are left out are predicted as well by the fit with the first approach (whole) as by the one
-    without it (alone)."""
+    """Whether the fit with the first approach (whole) predicts strokes that are left out as well as the fit without it
+    (alone) does. Simulates both fits, `whole` last."""
     fit = alone.fit
     fit.simulate(alone.curves)
     strokes, before = [], 0
@@ -186,9 +186,9 @@ def _predicts_no_worse(whole: Fitted, alone: Fitted) -> bool:
 
 
 def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: float) -> float:
-    """Mean square over the noise of strokes that the fit did not see: every _PARTS-th stroke is left out in turn and
-    the fit goes on for _AGAIN steps. Outliers are cut at STRAY times `scale`. strokes: by track, (n,) the number of
-    each frame's stroke, -1 where it does not count."""
+    """Mean squared error over noise at strokes that a fit has not seen. Every _PARTS-th stroke is left out in turn, and
+    the fit descends for _AGAIN steps without it. Frames are cut at STRAY times `scale`. strokes: by track, (n,) the
+    number of each frame's stroke, -1 where it does not count. 0 if no stroke counts."""
     total, frames = 0.0, 0
     for part in range(_PARTS):
         out = [(each >= 0) & (each % _PARTS == part) for each in strokes]
@@ -206,13 +206,13 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
 
 
 def overlap(fitted: Fitted) -> tuple[float, float]:
-    """The range of p, unit of q, that counted frames cover in both directions; the empty range (1, -1) with fewer than
-    _FEW_ONE_WAY frames of one direction."""
+    """The lowest and highest p, unit of q, between which counted frames cover both directions. (1, -1), an empty range,
+    with fewer than _FEW_ONE_WAY frames of one direction."""
     return _covered_both_ways(fitted.fit.simulated, fitted.masks)
 
 
 def _covered_both_ways(simulated: Sequence[Simulated], masks: Sequence[Mask]) -> tuple[float, float]:
-    """As `overlap`, of the frames that these masks (n,), by track, say."""
+    """As `overlap`, of the frames that count by these masks (n,), by track."""
     low, high = -np.inf, np.inf
     for side in (1, -1):
         seen = zip(simulated, masks, strict=True)
@@ -224,9 +224,9 @@ def _covered_both_ways(simulated: Sequence[Simulated], masks: Sequence[Mask]) ->
 
 
 def _approach_fits(fit: PlayFit, point: Point) -> bool:
-    """Whether the residuals of the first approach are within _REPEATS times the fit's scale in the median, where the
-    rest covers both ways: a start pose with other friction or slack must not spoil the fit. Yes if it has fewer than
-    _FEW_ONE_WAY frames."""
+    """Whether the first approach follows the same curves as the rest, at positions that the rest covers both ways: its
+    residual, in the median, is less than _REPEATS times the fit's scale. If it does not, as with other friction or
+    slack at the start, it must not spoil the fit. True with fewer than _FEW_ONE_WAY frames."""
     squares = []
     low, high = _covered_both_ways(point.simulated, point.masks)
     for prepared, sim, rows in zip(fit.tracks, point.simulated, point.residuals, strict=True):
@@ -238,8 +238,8 @@ def _approach_fits(fit: PlayFit, point: Point) -> bool:
 
 
 def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
-    """B from the passes alone: the joint fit again with only those frames at which the tip moves and has gone by more
-    than `margin`, unit of q, since it started to; the delay held. None where these are too few."""
+    """B from the passes alone: the joint fit made again with only the frames at which the tip moves and has gone by
+    more than `margin`, unit of q, since it began to; the delay is held. None with fewer than _FEWEST such frames."""
     fit = joint_fit.fit
     prepared = []
     for track, sim in zip(fit.tracks, fit.simulated, strict=True):
@@ -255,24 +255,24 @@ def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
-    """(n,) how far the play's centre p (n,) has gone since it last changed its envelope, side (n,): since the tip last
-    began to move. Unit of q."""
+    """(n,) how far the play's centre p (n,) has gone, unit of q, since its envelope, side (n,), last changed: since the
+    tip last began to move."""
     turns = np.flatnonzero(np.diff(side, prepend=side[:1]))
     start = np.zeros(len(p), dtype=np.intp)
     start[turns] = turns
     return np.asarray(np.abs(p - p[np.maximum.accumulate(start)]))
 
 
-def _start(
+def _coarse_start(
     prepared: Sequence[PreparedTrack],
     domain: Domain,
     delay_s: float,
     guess: WidthCurve | None,
     beforehand: Beforehand | None,
 ) -> tuple[PlayFit, Curves] | None:
-    """Where the joint fit begins: the coarse fit, of _ROUGH_SPANS, and its curves: the best constant B, or the guess or
-    the B known beforehand, if one leaves less. The first approach counts only if little else is there. None where too
-    few frames tell any."""
+    """The fit with which the joint fit begins, of _ROUGH_SPANS, and its first curves: those that leave least with the
+    best constant B, the guess or the B known beforehand. The first approach counts only if without it no start has
+    enough frames. None if no start has enough either way."""
     channels = prepared[0].track.y.shape[1]
     flat, path = (Basis(domain.low, domain.high, spans) for spans in _ROUGH_SPANS)
     no_path = np.zeros((path.size, channels))
@@ -293,25 +293,25 @@ def _start(
 
 
 def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] | None:
-    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave is taken to have one
-    minimum, so that few are tried. None where too few frames count from each of these."""
+    """Of `_path_step` from each of the starts the one that leaves least. The starts have ever wider B, and what they
+    leave is taken to have one minimum, so that only some are tried. None if too few frames count from the best of
+    them."""
     steps: dict[int, tuple[float, Curves] | None] = {}
 
-    def left(k: int) -> float:
-        """What the step from the k-th start leaves; infinite where too few frames count."""
+    def residual_of(k: int) -> float:
+        """What the step from start k leaves; infinite if too few frames count."""
         if k not in steps:
             steps[k] = _path_step(fit, starts[k])
         step = steps[k]
         return np.inf if step is None else step[0]
 
-    return steps[least_of(len(starts), left)]
+    return steps[least_of(len(starts), residual_of)]
 
 
 def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
-    """The curves with the path fitted to `start`'s B and delay in one step, and what they leave: the mean absolute
-    residual over noise of the counted frames. None where these are too few: fewer than _FEWEST or than _LEAST_SHARE of
-    those that may count; or, where the first approach is left out (settled_only), not both ways over the same
-    positions."""
+    """The path fitted in one step with `start`'s B and delay held: the mean absolute residual over noise that it
+    leaves, and the curves. None if too few frames count (fewer than _FEWEST, or than _LEAST_SHARE of those that may)
+    or, if the first approach is left out (settled_only), if they do not cover the same positions both ways."""
     residuals, masks = fit.residuals(start)
     if sum(int(m.sum()) for m in masks) < max(_FEWEST, _LEAST_SHARE * sum(int(f.use.sum()) for f in fit.tracks)):
         return None
@@ -324,8 +324,8 @@ def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
 
 
 def _covers_both_ways(fit: PlayFit, masks: Sequence[Mask]) -> bool:
-    """Whether the counted frames of either direction have _LEAST_BOTH_WAYS of the positions that were seen in common;
-    no with fewer than half of _FEWEST frames of one direction."""
+    """Whether the range that the counted frames of both directions have in common is more than _LEAST_BOTH_WAYS of the
+    range of positions seen. False with fewer than half of _FEWEST frames of one direction."""
     spans = []
     for side in (1, -1):
         p = np.concatenate([s.p[m & (s.side == side)] for s, m in zip(fit.simulated, masks, strict=True)])
@@ -338,7 +338,8 @@ def _covers_both_ways(fit: PlayFit, masks: Sequence[Mask]) -> bool:
 
 
 def _coefficients_of(basis: Basis, curve: Callable[[Array], Array]) -> Array:
-    """Spline coefficients (size,) or (size, channels) nearest to a curve in least squares: a function of positions x
-    (n,) with values (n,) or (n, channels), asked at _PLACES_EACH places for each coefficient."""
+    """Spline coefficients (size,) or (size, channels) nearest in least squares to a curve, a function of positions
+    (n,), unit of q, with values (n,) or (n, channels). The curve is evaluated at _PLACES_EACH positions for each
+    coefficient."""
     x = np.linspace(basis.low, basis.high, _PLACES_EACH * basis.size)
     return basis.nearest(x, curve(x))

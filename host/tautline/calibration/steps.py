@@ -1,5 +1,5 @@
-"""Motors that step: their log jumps within one sample and so says nothing of where the motor went in between. Frames at
-which the tip still follows such a step are left out."""
+"""Motors that step: their log jumps within one sample, so that it does not say where the motor went in between. Frames
+at which the tip still follows such a step are left out."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _MOST_S = 3.0  # prior: that a tip may take to settle
 
 
 def motor_jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
-    """Indices of the samples after which the motor jumps: by far more than its encoder's resolution (unit of q) and
-    much faster than just before and after."""
+    """Indices of the samples after which the motor jumps: by more than _COUNTS of its encoder's resolution (unit of q)
+    and _SHARE of its span, and more than _FASTER times as fast as just before and after."""
     moved = np.abs(np.diff(motor.q))
     speed = moved / np.diff(motor.t_s)
     # The median speed of three samples before and after: a jump may be followed by the jump back.
@@ -40,8 +40,8 @@ def motor_jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
 
 
 def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reason], list[str]]:
-    """Tracks without the frames at which the tip may still follow a jump of the motor; a fatal reason for each whose
-    motor hardly moves but by jumps; and a note for each with frames left out."""
+    """The tracks without frames at which the tip may still follow a jump of the motor; a fatal reason for each track
+    whose motor hardly moves but by jumps, which keeps its frames; and a note for each with frames left out."""
     left, reasons, notes = [], [], []
     resolution = rig.actuator.encoder_resolution
     for track in tracks:
@@ -65,8 +65,8 @@ def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[
 
 
 def _moves_by_jumps(track: Track, at: npt.NDArray[np.intp], resolution: float) -> bool:
-    """Whether the jumps after the samples `at` are most of the way that the motor goes from turn to turn, and the rest
-    is less than _SWEEPS of its span. resolution: of its encoder, unit of q."""
+    """Whether the jumps after the samples `at` are more than half of the way that the motor goes from turn to turn, and
+    the rest is less than _SWEEPS of its span. resolution: of its encoder, unit of q."""
     q = track.path.readings.q
     turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
     total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
@@ -75,10 +75,10 @@ def _moves_by_jumps(track: Track, at: npt.NDArray[np.intp], resolution: float) -
 
 
 def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
-    """(n,) frames at which the tip may follow one of the jumps after the samples `at`: from each on until y stays near
-    its median in the last quarter of the time before the next jump (_MOST_S at most). Beside both ends the motor's
-    speed, as a fit takes it, is the jump's though the tip rests: these frames are among them. nominal_s: the nominal
-    delay."""
+    """(n,) frames at which the tip may still follow one of the jumps after the samples `at`: from the jump on until y
+    stays near its final place, the median of the last quarter of the time to the next jump (_MOST_S at most). Frames
+    just before and after are added, where a fit takes the jump for the motor's speed though the tip rests. nominal_s:
+    the nominal delay."""
     settling = np.zeros(len(track.t_s), dtype=bool)
     samples_s, beside_s = track.reading.t_s, half_slope_s(track.reading)
     begins = samples_s[at] + min(nominal_s, 0.0) - beside_s

@@ -46,9 +46,11 @@ class _Sway:
 
     @classmethod
     def of(cls, t_s: Array, size: float, memory_s: float, sigma: float) -> _Sway:
-        """The process at times t_s (n,), s: size its standard deviation, memory_s its correlation time, sigma the white
-        noise's."""
+        """The process at times t_s (n,), s. size: its standard deviation; memory_s: its correlation time, s; sigma:
+        standard deviation of the white noise."""
         kept, fresh = np.exp(-np.diff(t_s) / memory_s), -np.expm1(-2.0 * np.diff(t_s) / memory_s)
+        # Precision of the process at unit size, tridiagonal: each value is `kept` times the one before plus noise of
+        # variance `fresh`.
         precision = np.zeros((2, len(t_s)))  # upper form: what is beside the diagonal, the diagonal
         precision[1] = np.append(1.0, 1.0 / fresh) + np.append(kept**2 / fresh, 0.0)
         precision[0, 1:] = -kept / fresh
@@ -59,13 +61,13 @@ class _Sway:
         return cls(factor, sigma**2, volume + 2.0 * len(t_s) * float(np.log(size * sigma)))
 
     def expected(self, rows: Array) -> Array:
-        """(n, k) posterior mean of the sway, given rows (n, k) that are sway plus noise."""
+        """(n, k) posterior mean of the sway, if each column of rows (n, k) is sway plus noise."""
         return np.asarray(cho_solve_banded((self.factor, False), rows / self.variance))
 
-    def explains(self, columns: Array, spread: float, y: Array) -> float:
-        """Log marginal likelihood of y (n, channels) = columns (n, k) times amplitudes N(0, spread^2) + sway + noise,
-        without the constant -n channels / 2 log 2 pi: -1/2 (y' V^-1 y + channels log det V), V = S + spread^2 columns
-        columns', by the Woodbury identity."""
+    def log_likelihood(self, columns: Array, spread: float, y: Array) -> float:
+        """Log marginal likelihood of y (n, channels), if each channel is columns (n, k) times amplitudes N(0,
+        spread^2), plus sway and noise; without the constant -n channels / 2 log 2 pi. It is -1/2 (y' V^-1 y + channels
+        log det V) with V = S + spread^2 columns columns', by the Woodbury identity."""
         k = columns.shape[1]
         rows = np.hstack([columns, y])
         solved = (rows - self.expected(rows)) / self.variance
@@ -77,9 +79,10 @@ class _Sway:
 
 
 def probability_of_rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: float, side: float) -> float:
-    """The probability that the place rests; the three explanations are alike before. y (n, channels): seen at t_s (n,),
-    s, with noise sigma; paths: for each width of the play where its centre is (n,); swing: how far the rig moves the
-    image over the motor's range; side: of the square that is followed. All in y's unit but paths."""
+    """The probability that the place rests. Before, resting is as probable as not resting, and the latter is divided
+    equally between following the motor and roaming. y (n, channels): seen at t_s (n,), s, with noise sigma; paths: for
+    each width of the play its centre (n,) at these times; swing: how far the rig moves the image over the motor's
+    range; side: of the square that is followed. All in y's unit but paths."""
     y = y - np.median(y, axis=0)
     sizes = np.geomspace(_LEAST * sigma, max(swing, side), _SIZES)
     # Frames tell best how far it goes in one of their periods: a small and a large one are tried at the same steps.
@@ -93,25 +96,27 @@ def probability_of_rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Arra
     sways = [_Sway.of(t_s, size, memory, sigma) for size, memory in pairs]
     lasts = float(t_s[-1] - t_s[0])
     # The standard deviation about the mean in such a time: size / sqrt(1 + 3 memory / lasts), to a twentieth.
-    small = np.array([size <= _RESTS * side * np.sqrt(1.0 + 3.0 * memory / lasts) for size, memory in pairs])
+    may_rest = np.array([size <= _RESTS * side * np.sqrt(1.0 + 3.0 * memory / lasts) for size, memory in pairs])
     level = np.ones((len(y), 1))
-    told = np.array([sway.explains(level, swing, y) for sway in sways])
-    follows = [sway.explains(_hats(path), swing, y) for path in paths for sway in sways]
-    resting = logsumexp(told[small]) - np.log(small.sum())
+    told = np.array([sway.log_likelihood(level, swing, y) for sway in sways])
+    follows = [sway.log_likelihood(_hat_functions(path), swing, y) for path in paths for sway in sways]
+    # Marginal log likelihoods, each averaged over its prior's grid: `moving` half following the motor and half roaming.
+    resting = logsumexp(told[may_rest]) - np.log(may_rest.sum())
     moving = np.logaddexp(
-        logsumexp(follows) - np.log(len(follows)), logsumexp(told[~small]) - np.log((~small).sum())
+        logsumexp(follows) - np.log(len(follows)), logsumexp(told[~may_rest]) - np.log((~may_rest).sum())
     ) - np.log(2.0)
     return float(np.exp(-np.logaddexp(0.0, moving - resting)))
 
 
-def _hats(path: Array) -> Array:
+def _hat_functions(path: Array) -> Array:
     """(n, nodes) piecewise linear basis over the range of path (n,)."""
     nodes = np.linspace(path.min(), path.max(), _NODES)
     return np.stack([np.interp(path, nodes, row) for row in np.eye(_NODES)], axis=1)
 
 
 def play_paths(motor: Motor, scene_s: Array) -> list[Array]:
-    """For each width of the prior, the centre of a play (n,) at scene_s (n,), s; unit of q."""
+    """For each width of the prior the centre (n,) of a play that the motor drives, unit of q, at times scene_s (n,),
+    s."""
     low, high = float(motor.q.min()), float(motor.q.max())
     paths = []
     for width in (_WIDTHS * (high - low)).tolist():

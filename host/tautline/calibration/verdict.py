@@ -17,9 +17,9 @@ from tautline.calibration.doubts import KNOWN, common_error, component_reasons
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
 from tautline.calibration.measuring import Measured
 from tautline.calibration.observations import usual_width
-from tautline.calibration.onset import Delay, known_to, motor_speed, with_width
+from tautline.calibration.onset import Delay, motor_speed, sigma_or_nominal, with_width
 from tautline.calibration.remaining import pose_of
-from tautline.calibration.result import Calibration, finite, foretold, onset_json
+from tautline.calibration.result import Calibration, finite_or_none, foretold, onset_json
 from tautline.calibration.smooth import overlap
 from tautline.calibration.worth import PREDICTS, Worth, predictive_worth
 from tautline.elements import SINGLE, Elements
@@ -85,14 +85,14 @@ def judged_calibration(found: Measured) -> Calibration:
 
 
 def _delay_with_tracker_lag(found: Measured) -> Delay:
-    """The delay, with a sigma that includes (in quadrature) by how much, s, the tracker shows a moving tip late."""
+    """The delay, its sigma increased (in quadrature) by the time, s, by which the tracker may show a moving tip
+    late."""
     delay, lag_s = found.delay, 0.0 if found.components is None else found.components.tracker_lag_s
     return replace(delay, sigma_s=float(np.hypot(delay.sigma_s, lag_s)))
 
 
 def _gaps(found: Measured, model: Model) -> tuple[coverage.Gap, ...]:
-    """Returns the pieces of the range that were never passed both ways or lie beyond all turns, and adds a note on
-    each."""
+    """The stretches of the range in which B can be seen but is not measured. Adds a note on each."""
     joint_fit = found.joint_fit
     apart = None if joint_fit is None else coverage.distance_to_both_ways(joint_fit, found.grid)
     gaps = coverage.gaps(model, apart)
@@ -101,8 +101,8 @@ def _gaps(found: Measured, model: Model) -> tuple[coverage.Gap, ...]:
 
 
 def _predictions(found: Measured, model: Model) -> Worth | None:
-    """Returns how well the model predicts its own recordings, and adds that to the evidence and its doubts to the
-    reasons; None where nothing could be predicted. model: at the delay that the tracks have."""
+    """How well the model predicts its own recordings; None if nothing could be predicted. Adds that to the evidence,
+    and its doubts to the reasons. model: at the delay that the tracks have."""
     fit_of_remaining = None if found.remaining is None else found.remaining.fitted
     tracks = [each.track for each in found.ended] or found.tracks
     worth = predictive_worth(model, tracks, found.joint_fit, fit_of_remaining)
@@ -119,14 +119,14 @@ def _predictions(found: Measured, model: Model) -> Worth | None:
 
 
 def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
-    """Completes the reasons for the verdict. It is good where the model holds, which is where its error on blocks that
-    the fit has not seen, with what goes on to change, is within PREDICTS times the noise, and where B is known
-    (`_doubt_sigma`, last). Held samples, a gradual onset and what departs from the model are doubts where it does not
-    hold, and else mild. Where its error alone is larger and nothing departs or is doubted, a reason says so
-    (`_unexplained`). predictions: None where nothing could be predicted; found.sigma: with all that is uncertain."""
+    """Completes the reasons for the verdict. The model holds if its error on blocks that the fit has not seen, with
+    what goes on to change, is within PREDICTS times the noise. Then what departs from it, held samples and a gradual
+    start are mild, else doubts. If only its error is too large, and nothing departs or is doubted, a reason says so
+    (`_unexplained`). Last, B must be known (`_doubt_sigma`). predictions: None if nothing could be predicted;
+    found.sigma: with all that is uncertain."""
     components, frames = found.components, sum(len(track.t_s) for track in found.tracks)
     predicts = predictions is None or predictions.predicts
-    goes_on = 0.0 if components is None else components.late_change  # as far as it came in as long a time
+    goes_on = 0.0 if components is None else components.late_change  # as much again is expected in as long a time
     holds = math.hypot(1.0 if predictions is None else predictions.over_noise, goes_on) <= PREDICTS
     if found.held > 0:
         found.findings.notice(
@@ -157,10 +157,10 @@ def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
 
 
 def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
-    """Adds a doubt of code "coverage" where B is measured at one place only, or where the rms of its sigma, over the
-    typical B, is above KNOWN. The remedy is for the cause of more than half of that variance: the delay, or the law by
-    which B follows the speed; else for too little motion. holds: whether the model predicts. Mild if it does and sigma
-    without the delay's part is within KNOWN: the errors of B and delay go together, and cancel in a prediction."""
+    """Adds a doubt of code "coverage" if B is measured at one place only, or if the rms of its sigma over the typical B
+    is above KNOWN. The remedy is for the cause of more than half of that variance (the delay, or the law by which B
+    follows the speed), else for too little motion. It is mild if the model predicts (holds) and sigma without the
+    delay's part is within KNOWN: the errors of B and delay go together, and cancel in a prediction."""
     inside, usual, joint_fit = extent.inside, extent.usual, found.joint_fit
     if not inside.any():
         found.findings.doubt(
@@ -186,9 +186,9 @@ def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
 
 
 def _unexplained(found: Measured, predictions: Worth) -> Reason:
-    """The reason to give where a model does not predict although nothing departs from it: the paper's way to f_remain,
-    if that was used; the rig's path in the image, if the fit without that path leaves only noise; else none is
-    known."""
+    """The reason to give if a model does not predict although nothing departs from it: the paper's way to f_remain, if
+    that was used; the rig's path in the image, if the fit without that path leaves only noise; else that the cause is
+    not known."""
     times = f"{predictions.over_noise:.1f} times the noise"
     joint_fit, remaining = found.joint_fit, found.remaining
     if remaining is not None and remaining.fitted is None:
@@ -209,28 +209,29 @@ def _extent(found: Measured) -> _Extent:
 
 
 def _measured_range(found: Measured) -> tuple[float, float]:
-    """The lowest and highest position, unit of q, at which B is measured. With friction a tip starts at every turn:
-    then it is what was passed near both envelopes."""
+    """The lowest and highest position, unit of q, at which B is measured. With friction the tip starts to move at every
+    turn, wherever that is: then it is the range that was passed both ways near the envelopes."""
     if found.joint_fit is not None and isinstance(found.hysteresis, Friction):
         low, high = overlap(found.joint_fit)
         if low < high:
             return low, high
-    return found.choice.measured(found.onset_curve, found.joint_fit, found.source)
+    return found.choice.measured_range(found.onset_curve, found.joint_fit, found.source)
 
 
 def _complete_sigma(found: Measured, extent: _Extent) -> Array:
-    """(grid,) B's sigma with what its scatter does not show: errors that all strokes share; SLOPE_UNTOLD times the
-    distance beyond what was measured, unless B was known beforehand; for B of the onsets the delay's error at the
-    motor's speed, by which all are late alike; else what B may change where the tip passed one way only."""
+    """(grid,) B's sigma with errors that its scatter does not show. Always those that all strokes share; SLOPE_UNTOLD
+    times the distance beyond what was measured, unless B was known beforehand. For B of the onsets also the delay's
+    error at the motor's speed, by which all of them are late alike; else what B may change by where the tip passed one
+    way only."""
     inside = extent.inside
     known_at = found.grid[inside], found.width[inside], found.sigma[inside]
     floor = common_error(found.tracks, *known_at, extent.usual, found.unit, found.findings)
     known = found.options.beforehand is not None and found.source in (JOINT, PASSES)
     beyond = np.abs(found.grid - np.clip(found.grid, *extent.measured))
     sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else SLOPE_UNTOLD * beyond)
-    if found.source == ONSETS:  # which are late alike
+    if found.source == ONSETS:
         speeds = [motor_speed(onset, found.tracks[onset.track]) for onset in with_width(found.onsets)]
-        late = float(np.median(speeds)) * known_to(found.delay.sigma_s) if speeds else 0.0
+        late = float(np.median(speeds)) * sigma_or_nominal(found.delay.sigma_s) if speeds else 0.0
         sigma = np.hypot(sigma, late)
     elif found.joint_fit is not None:
         one_way = found.choice.sigma_where_passed_one_way(found.joint_fit, found.width, inside)
@@ -239,8 +240,8 @@ def _complete_sigma(found: Measured, extent: _Extent) -> Array:
 
 
 def _doubt_clock(found: Measured, aligned: clock.AlignedTracks, delay: Delay) -> None:
-    """Adds a fatal doubt where the sensor's clock was off and its offset is not known to _TOLD_S, and a note where
-    nothing told the delay."""
+    """Adds a fatal doubt if a sensor's clock was off and its offset is not known to _TOLD_S, and a note if nothing told
+    the delay."""
     if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
         found.findings.doubt(
             "clock.offset",
@@ -256,8 +257,8 @@ def _doubt_clock(found: Measured, aligned: clock.AlignedTracks, delay: Delay) ->
 
 
 def _model(found: Measured, aligned: clock.AlignedTracks, measured: tuple[float, float]) -> Model:
-    """The model, without verdict, uncertainty and extra. Where a board cannot hold its hysteresis it carries the plays
-    that come nearest to it, which is noted."""
+    """The model, without verdict, uncertainty and extra. A board can hold a few plays only: if it cannot hold the
+    hysteresis a note says which plays come nearest, and a model with friction carries these beside it."""
     coarse, remaining = found.rig.coarse, found.remaining
     c = remaining.c_deg if remaining is not None else coarse.gain * found.grid + coarse.offset
     c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
@@ -289,33 +290,34 @@ def _extra(
     extra: dict[str, Any] = {
         "source": found.source,
         "onsets": [onset_json(o, names) for o in found.onsets],
-        "evidence": {key: finite(value) for key, value in found.findings.evidence.items()},
+        "evidence": {key: finite_or_none(value) for key, value in found.findings.evidence.items()},
         "notes": list(notes),
         "characteristic": characteristic,
         "options": asdict(replace(found.options, beforehand=None)),
     }
     if pass_width is not None:
-        extra["pass_width"] = [finite(v) for v in pass_width]
+        extra["pass_width"] = [finite_or_none(v) for v in pass_width]
     return extra
 
 
 def _uncertainty(found: Measured) -> Uncertainty:
-    """What the model errs by beside its tables' sigmas. Its noise, px or deg, is the larger of what f_remain's fit
-    leaves and of the error by which blocks left out are predicted."""
+    """The model's errors beside its tables' sigmas. Its noise, px or deg, is the larger of what f_remain's fit leaves
+    and of the error on the blocks left out; None if neither is known."""
     evidence, joint_fit = found.findings.evidence, found.joint_fit
     left = [value for name in ("residual", "error") if 0.0 < (value := evidence.get(name, np.nan)) < np.inf]
     by_delay = joint_fit.width_by_delay if joint_fit is not None and found.source == JOINT else None
     return Uncertainty(
         noise=max(left, default=None),
         noise_times=None if found.remaining is None else found.remaining.noise_times,
-        delay_sigma_s=finite(found.delay.sigma_s),
+        delay_sigma_s=finite_or_none(found.delay.sigma_s),
         width_by_delay=by_delay,
         tracked_px=max(track.tracked_px for track in found.tracks),
     )
 
 
 def _note_of_plays(found: Measured, near: Nearest) -> str:
-    """The note that a board's tables hold a few plays instead of this hysteresis, and what these leave."""
+    """The note that a board's tables hold a few plays (near) instead of the found hysteresis, and what share these
+    leave of what there is to undo."""
     plays = f"{len(near.elements.width)} plays, which leave {100.0 * near.share:.2g} % of what there is to undo"
     if isinstance(found.hysteresis, Friction):
         its = found.hysteresis.says(found.unit)
@@ -324,8 +326,8 @@ def _note_of_plays(found: Measured, near: Nearest) -> str:
 
 
 def _characteristic(found: Measured, delay_s: float) -> dict[str, Any]:
-    """Some _SHOWN frames of (q, c) for the report's picture, c in deg by pose; without angles far off the coarse
-    range."""
+    """About _SHOWN frames of (q, c) for the report's picture, at this delay, s: lists `q`, unit of q, and `c_deg`, the
+    bending angle by pose, without angles that are far off the coarse range (_ODD)."""
     stride = max(1, sum(len(track.t_s) for track in found.tracks) // _SHOWN)
     tracks = [track.only(slice(None, None, stride)) for track in found.tracks]
     q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in tracks])

@@ -1,11 +1,10 @@
 """The covariance of B, path and delay when effects are fitted with them, allowing for effects whose laws are not exact.
 
 The amplitude of a real effect varies with place, speed, time, side and load by a share of itself (standard deviation),
-which is learnt. A fit with one constant amplitude puts that variation into B and the delay. So the tip's motion by the
-effects, times each function by which a diagnosis lets amplitudes vary (diagnosis/wander.py), are further columns of the
-normal equations, their factors normal about 0 and integrated out. Besides, the effect as a whole may be off its law by
-the same share (`_covariance_of_form`).
-"""
+which is learnt. A fit with one constant amplitude puts that variation into B and the delay. So further columns are
+added to the normal equations: the tip's motion by the effects times each function by which a diagnosis lets amplitudes
+vary (diagnosis/wander.py). Their factors are normal about 0 and integrated out. Besides, the effect as a whole may
+differ from its law by the same share (`_covariance_of_form`)."""
 
 from __future__ import annotations
 
@@ -25,16 +24,16 @@ _RIDGE = 1e-12  # tolerance: information on each unknown that is added, so that 
 
 
 def _varying_share(fitted: Fitted) -> float:
-    """Share of itself (standard deviation) by which the effects' amplitude varies, as learnt for materials, whatever
-    the effect is; 1 where a value ended at an end of its range: the fit says nothing of it then, and it may be as
-    without the effect."""
+    """By which share of itself (standard deviation) the effects' amplitude varies, as learnt for effects of the
+    material. 1 if a value ended at an end of its range: then the fit tells nothing of the effect, and it may be
+    absent."""
     effects, values = fitted.effects_and_values
-    return 1.0 if effects.ended(values) else learnt().center.wanders_material
+    return 1.0 if effects.any_at_end(values) else learnt().center.wanders_material
 
 
 def allowing_for_wander(fitted: Fitted) -> Fitted:
-    """The same fit with the covariance of as many frames as are independent, and of effects whose amplitude varies by
-    `_varying_share`, spread evenly over the columns by which it may."""
+    """The same fit with another covariance: as of independent frames only, and with effects whose amplitude varies by
+    `_varying_share` of itself, a variance that is spread evenly over the columns by which it may."""
     noise = place_noise(fitted)
     unit2 = fitted.scale**2 * (1.0 if noise is None else noise.effect)
     fit, curves, share = fitted.fit, fitted.curves, _varying_share(fitted)
@@ -50,8 +49,9 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
 
 
 def _covariance_of_form(fitted: Fitted, information: Array, share: float) -> Array:
-    """Covariance (m, m) that is to be added as each effect as a whole may be off by this share from what its law makes
-    of the frames, all other unknowns following it. information (m, m): inverse covariance of the unknowns."""
+    """Covariance (m, m) to be added because each effect as a whole may differ by `share` of itself from what its law
+    makes of the frames: its amplitudes change by that share, and all other unknowns follow. information (m, m): inverse
+    covariance of the unknowns, in the order of PlayFit.layout."""
     effects, values = fitted.effects_and_values
     own = np.arange(len(information) - 1 - len(values), len(information) - 1)
     rest = np.setdiff1d(np.arange(len(information)), own)

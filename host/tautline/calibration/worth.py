@@ -1,13 +1,12 @@
-"""What a model is worth: blocks of its own calibration predicted by a fit that has not seen them (cross-validation),
-beside f_coarse, a tip that never moves, and the noise.
+"""What a model is worth: how well it predicts blocks of its own calibration with a fit that has not seen them
+(cross-validation), beside f_coarse, a tip that never moves, and the noise.
 
-Near its optimum a fit is a linear least-squares problem: without block b its unknowns change by -(N - N_b)^-1 g_b, N_b
-and g_b the block's own parts of the normal matrix and of the gradient. The play is then simulated anew. What departs
-from the model is not predicted: it stays in the errors, as it will in a motion to come.
+Near its optimum a fit is a linear least-squares problem: without block b its unknowns change by -(N - N_b)^-1 g_b,
+where N is the normal matrix, and N_b and g_b are the block's own parts of it and of the gradient. The play is then
+simulated anew. What departs from the model is not predicted: it stays in the errors, as it will in a motion to come.
 
 Errors are seen less predicted, (n, k) of each track: k = 2 px or 1 deg, over the stated noise where not said otherwise.
-Masks (n,) say which frames count.
-"""
+Masks (n,) say which frames count."""
 
 from __future__ import annotations
 
@@ -64,12 +63,13 @@ class Worth:
 
     @property
     def useless(self) -> bool:
-        """Whether f_coarse or a tip that never moves predicts as well, and the model not to within the noise."""
+        """Whether the model does not predict to within the noise, and f_coarse or a tip that never moves predicts as
+        well."""
         return not self.predicts and self.model >= min(self.coarse, self.constant)
 
     @property
     def doubts(self) -> list[Reason]:
-        """A fatal reason where the model is useless, else none."""
+        """A list of one fatal reason if the model is useless, else an empty one."""
         if not self.useless:
             return []
         of_sensor = "camera, hand_eye" if self.unit == "px" else "coarse.gain, the unit of angle.csv"
@@ -88,25 +88,25 @@ def predictive_worth(
     model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> Worth | None:
     """What the model is worth on these tracks, which are on the motor's clock. joint_fit, remaining: the fits of B and
-    of f_remain, whose smoothness is the prior of both; where one is None nothing is left out. None where nothing was
-    seen after the tip was driven both ways."""
+    of f_remain, whose smoothness is the prior of both; if one is None, or there are too few half-cycles, no block is
+    left out and the errors are the fit's own. None if nothing was seen after the tip was driven both ways."""
     if remaining is not None:
         tracks = [prepared.track for prepared in remaining.fit.tracks]  # with the noise that each place has
     fit, curves = _fit_of(model, tracks, joint_fit, remaining)
     residuals, masks = fit.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
-    errors, labels = residuals, _blocks(fit, masks)
+    errors, labels = residuals, _block_numbers(fit, masks)
     apart = labels is not None and joint_fit is not None and remaining is not None
     if labels is not None and apart:
         errors = _held_out_errors(fit, curves, residuals, masks, labels)
     masks = _frames_of_tip(fit, curves, errors, masks)
     in_unit = [miss * track.sigma[:, None] for miss, track in zip(errors, tracks, strict=True)]
     by_coarse = [track.y - _predicted_by_coarse_law(track, model) for track in tracks]
-    seen = _counted([track.y for track in tracks], masks)
+    seen = _counted_rows([track.y for track in tracks], masks)
     return Worth(
-        model=bounded_rms(_counted(in_unit, masks)),
-        coarse=bounded_rms(_counted(by_coarse, masks)),
+        model=bounded_rms(_counted_rows(in_unit, masks)),
+        coarse=bounded_rms(_counted_rows(by_coarse, masks)),
         constant=bounded_rms(seen - seen.mean(axis=0)),
         over_noise=_over_noise(fit, curves, errors, masks),
         unit=tracks[0].unit,
@@ -115,18 +115,19 @@ def predictive_worth(
 
 
 def bounded_rms(off: Array) -> float:
-    """rms per coordinate of errors (n, k), outliers cut at STRAY times the usual one; infinite where an error is, as
-    of a prediction that is behind the camera."""
+    """rms per coordinate of errors (n, k), with frames cut at STRAY times the usual error; infinite if an error is, as
+    that of a prediction behind the camera."""
     norm = np.sqrt(np.mean(off**2, axis=1))
     usual = float(np.sqrt(np.mean(np.minimum(norm, STRAY * float(np.median(norm))) ** 2)))
     return float(np.sqrt(np.mean(np.minimum(norm, STRAY * usual) ** 2))) if np.isfinite(usual) else float("inf")
 
 
 def _frames_of_tip(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[Mask]) -> list[Mask]:
-    """The masks without the frames that show something else than the tip (another blob, a lost count): their error is
-    larger than STRAY times the usual one, and larger than all of B would move the tip by in the image. There the image
-    is taken to move with the tip at least as much as on average (rms), as a model that lets it rest may be wrong."""
-    usual, widest = STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
+    """The masks without frames that show something else than the tip (another blob, a lost count). Such a frame's error
+    is larger than STRAY times the usual one, and larger than a shift of the tip by all of B would make in the image.
+    For that the image is taken to move with the tip at least as much as on average (rms), since a model that lets it
+    rest there may be wrong."""
+    usual, widest = STRAY * bounded_rms(_counted_rows(errors, masks)), float(fit.width(curves).max())
     kept = []
     for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):
         steep = np.linalg.norm(fit.slope_in_view(prepared.track, curves, sim.tip), axis=1)
@@ -137,14 +138,14 @@ def _frames_of_tip(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks:
 
 
 def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[Mask]) -> float:
-    """sqrt(1 + (missed^2 - noise^2) / (noise^2 + placed^2)), in squares per coordinate over the stated noise, at least
-    1: what is missed over what the sensor's noise alone makes of it. noise^2, of frames at which the tip rests, is half
-    the squared difference of neighbours; of moving ones half the smaller of those across its path in the image, where
-    nothing moves it, of neighbours and of passes over the same place: what a place repeats is no noise, though it may
-    look like it from frame to frame. What noise remembers, neighbours differ by less. placed^2: of a tracker's error at
-    each place. Of resting and moving noise the one that nothing tells is as the other, the stated one if neither is
-    told. Infinite where no two neighbours count."""
-    limit = STRAY * bounded_rms(_counted(errors, masks))
+    """The model's error with the sensor's noise, over that noise, at least 1: sqrt(1 + (missed^2 - noise^2) / (noise^2
+    + placed^2)), mean squares per coordinate over the stated noise. missed: the errors. placed: a tracker's error that
+    is drawn anew at each place. noise of resting frames: half the squared difference of neighbours. noise of moving
+    frames: the smaller of those of neighbours and of passes over the same place, both across the path, where nothing
+    moves the image; what passes repeat is no noise. Noise that is correlated in time makes neighbours differ less,
+    which is corrected for. If only one of resting and moving noise is known it stands for both, and the stated one if
+    neither is. Infinite if no two neighbouring frames count."""
+    limit = STRAY * bounded_rms(_counted_rows(errors, masks))
     tracks = [
         _squares(fit, curves, prepared, sim, off, mask, limit)
         for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True)
@@ -152,9 +153,10 @@ def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Se
     if not any((mask[1:] & mask[:-1]).any() for mask in masks):
         return np.inf
     rests = [rest for track in tracks for rest in track.rests]
+    # Correlation of the noise from frame to frame: neighbours differ by the share 1 - memory of the noise's variance.
     memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
-    every = [_mean([track.at_rest for track in tracks]), _mean([track.across for track in tracks])]
-    at_rest, moving = (square and square / (1.0 - memory) for square in every)
+    variances = [_mean_square([track.at_rest for track in tracks]), _mean_square([track.across for track in tracks])]
+    at_rest, moving = (square and square / (1.0 - memory) for square in variances)
     if passes := _differ_by_passes(tracks):
         moving = min(moving, passes)
     at_rest, moving = at_rest or moving or 1.0, moving or at_rest or 1.0
@@ -187,10 +189,9 @@ def _squares(
     fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, off: Array, mask: Mask,
     limit: float,
 ) -> _Squares:  # fmt: skip
-    """The squares of one track, from errors off (n, k) over the stated noise at the frames that mask (n,) counts;
-    errors of more than `limit` (rms per coordinate) are cut to it. Where one place repeats its error (a sensor that
-    rounds, our tracker) passes that agree say nothing of the noise: no error is `sideways`, and the noise is the stated
-    one at least."""
+    """The squares of one track. off (n, k): errors over the stated noise; mask (n,): frames that count; limit: rms per
+    coordinate to which larger errors are cut. If one place repeats its error (a sensor that rounds, our own tracker)
+    passes that agree tell nothing of the noise: then `sideways` is empty, and the noise is at least the stated one."""
     track = prepared.track
     counted = np.where(mask[:, None], off, 0.0)
     norm = np.sqrt(np.mean(counted**2, axis=1))
@@ -221,8 +222,8 @@ def _squares(
 
 
 def _differ_by_passes(tracks: Sequence[_Squares]) -> float:
-    """Half the mean squared difference of errors across the path of each frame on the way up and the nearest one on the
-    way down within _TOGETHER; 0 of too few of them."""
+    """Half the mean squared difference between the errors across the path of each frame on the way up and of the
+    nearest frame on the way down, within _TOGETHER times the noise; 0 with fewer than _FEW such pairs."""
     counted = [track for track in tracks if len(track.sideways)]
     if not counted:
         return 0.0
@@ -234,24 +235,24 @@ def _differ_by_passes(tracks: Sequence[_Squares]) -> float:
     within = _TOGETHER * float(np.median(sigma))
     apart, nearest = KDTree(place[~rises]).query(place[rises], distance_upper_bound=within)
     near = np.isfinite(apart)
-    return _mean([0.5 * (off[rises][near] - off[~rises][np.asarray(nearest)[near]]) ** 2])
+    return _mean_square([0.5 * (off[rises][near] - off[~rises][np.asarray(nearest)[near]]) ** 2])
 
 
 def _at_rest(t: Array, off: Array, resting: Mask) -> list[Array]:
-    """The errors (n, 1) at times (n,), s, of each rest that is long enough, less their trend of order _SLOW: what its
-    place or a slow sway makes is no noise. resting (n,): frames at which the tip rests."""
+    """The errors off (n, 1), at times t (n,), s, in each rest of at least 2 _SLOW frames, less their trend of order
+    _SLOW: what the place or a slow sway adds is no noise. resting (n,): frames at which the tip rests."""
     rests = [rest for rest in stretches(resting) if rest.stop - rest.start >= 2 * _SLOW]
     return [less_its_trend(t[rest], off[rest], _SLOW) for rest in rests]
 
 
-def _mean(squares: Sequence[Array]) -> float:
-    """Mean of all these squares; 0 of too few to tell a scatter."""
+def _mean_square(squares: Sequence[Array]) -> float:
+    """Mean of the squares of all tracks; 0 of fewer than _FEW."""
     every = np.concatenate(squares)
     return float(every.mean()) if len(every) >= _FEW else 0.0
 
 
-def _counted(off: Sequence[Array], masks: Sequence[Mask]) -> Array:
-    """(counted, k) the rows of the counted frames, of all tracks."""
+def _counted_rows(off: Sequence[Array], masks: Sequence[Mask]) -> Array:
+    """(counted, k) the rows of `off` (n, k), by track, at which the masks hold, of all tracks one after the other."""
     return np.concatenate([each[mask] for each, mask in zip(off, masks, strict=True)])
 
 
@@ -265,9 +266,9 @@ def _predicted_by_coarse_law(track: Track, model: Model) -> Array:
 def _fit_of(
     model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> tuple[PlayFit, Curves]:
-    """The model as a PlayFit and its curves: B, f_remain (seen through the projection if the sensor is a camera), delay
-    and effects as spline coefficients and values, with the smoothing and priors of the fits that they are from; with a
-    new PlayFit's own where one of the two fits is None."""
+    """The model as a PlayFit, and its curves: B, f_remain (seen through the projection if the sensor is a camera),
+    delay and effects. Smoothing and priors are those of the two fits that they are from; a new PlayFit's own if one of
+    these is None."""
     basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
     fit = PlayFit(
         [PreparedTrack.of(track) for track in tracks], basis, basis,
@@ -284,9 +285,9 @@ def _fit_of(
     return fit, Curves(width, c[:, None], model.delay_s, values)
 
 
-def _blocks(fit: PlayFit, masks: Sequence[Mask]) -> list[Labels] | None:
-    """By track, (n,) the number of each frame's block, 0 to BLOCKS - 1, -1 where it does not count. A block is a run of
-    whole half-cycles of the tip. None with fewer than HALF_CYCLES half-cycles a block."""
+def _block_numbers(fit: PlayFit, masks: Sequence[Mask]) -> list[Labels] | None:
+    """By track, (n,) the number of each frame's block, 0 to BLOCKS - 1; -1 where it does not count. A block is a run of
+    whole half-cycles of the tip. None if there are fewer than HALF_CYCLES half-cycles for each block."""
     strokes, before = [], 0
     for sim, mask in zip(fit.simulated, masks, strict=True):
         stroke = before + sim.half_cycle
@@ -306,9 +307,9 @@ def _held_out_errors(
     masks: Sequence[Mask],
     labels: Sequence[Labels],
 ) -> list[Array]:
-    """By track, (n, k) the errors of each frame by the fit without its block, over the noise (module docstring). The
-    share STAYS of a block stays in its fit. labels: as `_blocks` gives them."""
-    scale = bounded_rms(_counted(residuals, masks))
+    """By track, (n, k) the errors over noise of each frame by a fit without the frame's block (module docstring), in
+    which the share STAYS of the block stays. labels: by track, of `_block_numbers`."""
+    scale = bounded_rms(_counted_rows(residuals, masks))
     limit = STRAY * scale
     norms = [np.sqrt(np.mean(row**2, axis=1)) for row in residuals]
     weights = fit.weights_with_rounding([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
@@ -323,11 +324,12 @@ def _held_out_errors(
     errors = [row.copy() for row in residuals]
     for number, (matrix, gradient) in enumerate(parts):
         share = 1.0 - STAYS
+        # `gradient` lowers the cost with the block in the fit: without it the unknowns move the other way.
         step = -cho_solve(factor(whole - share * matrix), share * gradient, check_finite=False)
         block = [
             replace(prepared, use=label == number).counting for prepared, label in zip(fit.tracks, labels, strict=True)
         ]
-        there = replace(fit, tracks=block).residuals(fit.moved(curves, step))[0]
-        for error, row, label, prepared in zip(errors, there, labels, block, strict=True):
+        without_block = replace(fit, tracks=block).residuals(fit.moved(curves, step))[0]
+        for error, row, label, prepared in zip(errors, without_block, labels, block, strict=True):
             error[label == number] = row[prepared.use]
     return errors
