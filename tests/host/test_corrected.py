@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tautline import effects, trajectory
-from tautline.diagnosis.diagnose import _corrected
+from tautline.diagnosis.diagnose import _corrected_model
 from tautline.diagnosis.fitted import Fit, Hypothesis, ParameterState
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID, LIBRARY
@@ -56,7 +56,7 @@ def values(kind) -> dict[str, float]:
 def corrected(kind) -> Model:
     state = ParameterState(MODEL, {}, values(kind))
     segment = Segment("last", LAST, T, np.zeros((len(T), 2)), T > 5.0, OFFSET, False)
-    model = _corrected(Fit(Hypothesis((kind,), (True,)), state, []), segment)
+    model = _corrected_model(Fit(Hypothesis((kind,), (True,)), state, []), segment)
     return replace(model, load_reference_mNm=LOAD)
 
 

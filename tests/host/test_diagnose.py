@@ -13,7 +13,7 @@ from tautline import effects, trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import narration
 from tautline.diagnosis.candidates import Search
-from tautline.diagnosis.diagnose import _corrected, diagnose
+from tautline.diagnosis.diagnose import _corrected_model, diagnose
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Hypothesis
 from tautline.diagnosis.segment import prepare
@@ -394,7 +394,7 @@ def test_a_drift_that_wears_off_is_folded_in_as_far_as_it_went():
     drift = {"offset_drift": 8e-4, "width_drift": 1e-3, "drift_decay": 0.02}
     hypothesis = Hypothesis().plus(effects.BY_ID["transmission.drift"], False)
     state = replace(fitter.start(), values=drift)
-    corrected = _corrected(Fit(hypothesis, state, []), segments[-1])
+    corrected = _corrected_model(Fit(hypothesis, state, []), segments[-1])
     end = segments[-1].motor.t_s[-1] + segments[-1].offset_s
     at = np.array([made[1].motor.t_s[-1]])
     with_drift = effects.simulate(true_model(), made[1].motor, at, drift, clock_offset_s=end - at[0])

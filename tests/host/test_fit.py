@@ -246,10 +246,10 @@ def test_a_first_fit_is_not_finished_only_where_another_leaves_far_less_of_many_
         search = Search(fitter, fitter.recalibrated(), [BY_ID[name] for name in names], lambda text: None)
         entries = screen(fitter, search.base.fit, search.kinds, search.limits)
         screened = {entry.kind.id: entry for entry in reversed(entries)}  # of each the best scope
-        fits = [search._begun(search.base, screened[name]) for name in names]
-        assert search._hopeless(fits) == hopeless
+        fits = [search._first_fit(search.base, screened[name]) for name in names]
+        assert search._are_hopeless(fits) == hopeless
         gone = replace(fits[1], residuals=[np.full_like(r, np.nan) for r in fits[1].residuals])
-        assert search._hopeless([fits[0], gone]) == [False, True]
+        assert search._are_hopeless([fits[0], gone]) == [False, True]
 
 
 def test_an_axis_that_never_moved_hides_no_other():

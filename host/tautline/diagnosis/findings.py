@@ -32,7 +32,7 @@ class Finding(Value):
 
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> Self:
-        """From an entry of the list `effects` of a diagnosis.json."""
+        """Makes a finding from an entry of the list `effects` of a diagnosis.json."""
         known = {name: entry[name] for name in cls.__dataclass_fields__}
         return cls(**{**known, "ambiguous_with": tuple(entry["ambiguous_with"])})
 
@@ -54,7 +54,8 @@ class Gap(Value):
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Self:
-        """From the object `gap` of a diagnosis.json."""
+        """Makes the gap's sizes from the content of a diagnosis.json (its `gap`, `gap_recalibrated`, `unit` and
+        `noise_floor`)."""
         gap: dict[str, Any] = {name: tuple(v) if name.endswith("_ci") else v for name, v in document["gap"].items()}
         again = document["gap_recalibrated"]["before"]
         return cls(unit=document["unit"], floor=document["noise_floor"], recalibrated=again, **gap)
