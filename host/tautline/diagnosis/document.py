@@ -121,7 +121,7 @@ class Found:
 def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
     """Builds the content of diagnosis.json, except for what repeated samples, the tip and a simulator add to it later.
     hidden: {id of an effect that was not fitted: id of the one it is confounded with}."""
-    shares, parts = _shares(found)
+    shares, parts = _shares_and_moved_parts(found)
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": found.segments[0].unit,
@@ -132,15 +132,15 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "calibration_leaves": float(np.sqrt(found.gathered.evidence.calibrated)),  # of its own recording, rms
         "tracker": found.tracked.to_json() if found.tracked else None,  # of videos: the noise of a moving marker
         "flexible": found.by_gaussian_process.to_json() if found.by_gaussian_process else None,
-        "effects": _effects(found, shares),
-        "moved": [{"id": part.id, "share": part.share, "since": _since(found, part.id).since} for part in parts],
-        "candidates": _candidates(found),
+        "effects": _effect_entries(found, shares),
+        "moved": [{"id": part.id, "share": part.share, "since": _reported_scope(found, part.id).since} for part in parts],
+        "candidates": _candidate_entries(found),
         "probability_none": found.verdict.none,
         "probability_unknown": found.verdict.unknown,
         "unknown_from_start": found.verdict.early,  # share of it
         "count": list(found.verdict.count),
         "where": {
-            "stage": _stage(found.verdict),
+            "stage": _likeliest_stage(found.verdict),
             "conditions": [condition.to_json() for condition in found.conditions[:_CONDITIONS]],
         },
         "signature": _signature(found),
@@ -150,7 +150,7 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
     return document
 
 
-def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
+def _shares_and_moved_parts(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
     """({id of each named cause: by how much it shrinks the gap's rms, as a share of the rms before}, the parts of the
     nominal model that moved). The parts are those of the verdict, or, where all named effects are parts of the nominal
     model and close the gap, these; otherwise ()."""
@@ -165,7 +165,7 @@ def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
     return shrinks, ()
 
 
-def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
+def _effect_entries(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
     """The list `effects` of diagnosis.json, one entry for each named effect. shares: by how much each named cause
     shrinks the gap, by id; the share of an effect includes those of the parts of the nominal model that it brings."""
     fit, ambiguous = found.chosen.fit, found.verdict.ambiguous()
@@ -177,20 +177,20 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
         {
             "id": name,
             "probability": probability,
-            "since": _since(found, name).since,
+            "since": _reported_scope(found, name).since,
             "parameters": values[name],
             **_values_by_recording(fit, name, found.segments),
-            **_brings(brought[name], shares),
+            **_brings_entry(brought[name], shares),
             "shrink": shares[name] + sum(shares[part] for part in brought[name]),
             "swallowed_by_recalibration": moved.closes(found.gap["before"], found.recalibrated, found.floor),
             "loads_on_board": effects.BY_ID[name].on_board,
-            "ambiguous_with": _alternatives(found.verdict, name, ambiguous),
+            "ambiguous_with": _ambiguous_with(found.verdict, name, ambiguous),
         }
         for name, probability in zip(found.named, found.verdict.probability, strict=False)
     ]
 
 
-def _candidates(found: Found) -> list[dict[str, Any]]:
+def _candidate_entries(found: Found) -> list[dict[str, Any]]:
     """The list `candidates` of diagnosis.json: the effects of the fitted hypotheses, the likeliest to lead first, then
     the effects that the linear screening left out. An effect is identifiable if it is not among those that the
     recordings cannot tell apart (`Decision.ambiguous`), or is the only one there."""
@@ -245,7 +245,7 @@ def _rivals(gathered: Gathered, verdict: decide.Decision) -> Rivals | None:
     return Rivals.of(fits, probability, likeliest[0][1].parameters)
 
 
-def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str]) -> list[str]:
+def _ambiguous_with(verdict: decide.Decision, name: str, ambiguous: Sequence[str]) -> list[str]:
     """The list `ambiguous_with` of a named effect: for the leading one the other effects of `ambiguous`, for the last
     one the verdict's alternatives, for those between none. ambiguous: ids that cannot be told from the leading
     effect."""
@@ -254,7 +254,7 @@ def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str])
     return list(verdict.alternatives) if name == verdict.named[-1] else []
 
 
-def _stage(verdict: decide.Decision) -> str | None:
+def _likeliest_stage(verdict: decide.Decision) -> str | None:
     """The stage with the largest probability to contain the leading effect; None where the verdict is none, or no
     effect has any probability to lead."""
     if verdict.name == "none" or not any(verdict.leading.values()):
@@ -291,28 +291,28 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
     return shapley.shares(named, worth)
 
 
-def _scope(fit: Fit, name: str) -> Scope:
+def _scope_in_fit(fit: Fit, name: str) -> Scope:
     """Since when a named effect is there in this fit; START if the fit is without it, as it is for a part of the
     nominal model that moved in all recordings."""
     present = fit.hypothesis.find(name)
     return present[1] if present else Scope.START
 
 
-def _since(found: Found, name: str) -> Scope:
+def _reported_scope(found: Found, name: str) -> Scope:
     """Since when a named effect is there, as it is reported: as in the fit, except that a shift or slip whose moments
     all lie after the calibration's end counts as TESTS."""
     fit = found.chosen.fit
     present = fit.hypothesis.find(name)
     moments_s = [fit.state.values[moment] for moment in present[0].moments] if present else []
     after_calibration = bool(moments_s) and min(moments_s) > found.segments[0].end_s
-    return Scope.TESTS if after_calibration else _scope(fit, name)
+    return Scope.TESTS if after_calibration else _scope_in_fit(fit, name)
 
 
 def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
     """Whether a named effect is a function of the session's time (drift, shift, slip) or of the recording. If none is,
     the gap varies with time only because the motions do."""
     kinds = [effects.BY_ID[name] for name in named]
-    return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
+    return any(k.course or k.scan == "moment" or _scope_in_fit(fit, k.id) == Scope.EACH for k in kinds)
 
 
 def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
@@ -328,7 +328,7 @@ def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
     return {**reported, **column, "since_calibration": float(bool(scope))}
 
 
-def _brings(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]:
+def _brings_entry(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]:
     """{"brings": [{id of a part of the nominal model that a named effect changed too, by how much this part shrinks the
     gap}]}; {} without such parts. These shares are included in the effect's own."""
     return {"brings": [{"id": part, "shrink": shares[part]} for part in parts]} if parts else {}

@@ -97,9 +97,9 @@ class Unknowns:
     """The positions of the unknowns in the vector of all of them, in the order of this module's docstring."""
 
     width: slice  # coefficients of the spline that is added to B, unit of q
-    follow: slice  # of the one that is added to f_remain, deg
+    follow: slice  # coefficients of the spline that is added to f_remain, deg
     width_details: int  # the factor on the details of B
-    follow_details: int  # that on the details of f_remain
+    follow_details: int  # the factor on the details of f_remain
     static: slice  # the registration, in the order of STATIC_NAMES; empty without a camera
     delay: int  # s
     effects: int  # the first of the effects' parameters, which are `Hypothesis.slots` in their order
@@ -250,11 +250,11 @@ class Fitter:
         for segment, parameters in zip(self.segments, parameters_of, strict=True):
             segment.ask(parameters)
         return [
-            self._simulated(segment, state.model, parameters)
+            self._simulated_segment(segment, state.model, parameters)
             for segment, parameters in zip(self.segments, parameters_of, strict=True)
         ]
 
-    def _simulated(self, segment: Segment, model: Model, parameters: Mapping[str, Any]) -> _Simulated:
+    def _simulated_segment(self, segment: Segment, model: Model, parameters: Mapping[str, Any]) -> _Simulated:
         """One recording simulated with these parameters. Without a camera the sensor shows the angle itself: by_c is 1,
         and by_static has no columns."""
         path = segment.follow(model, parameters, self.load_reference)
@@ -272,11 +272,11 @@ class Fitter:
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
         return [
-            self._rows(segment, state.model, of_segment, slope_b, slope_f)
+            self._rows_of_segment(segment, state.model, of_segment, slope_b, slope_f)
             for segment, of_segment in zip(self.segments, simulated, strict=True)
         ]
 
-    def _rows(
+    def _rows_of_segment(
         self, segment: Segment, nominal: Model, simulated: _Simulated, slope_b: Array, slope_f: Array
     ) -> ScoredRows:
         """As `rows`, for one recording. The angle changes by dc = gain f'(tip) dp/dB dB + gain df for changes dB of B
@@ -479,15 +479,15 @@ class Fitter:
         fits = []
         for nominal in nominals:
             states = [replace(nominal, values={**values, **other}) for other in ({}, *others)]
-            best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+            best = self._best_fit([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
             fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
-        return self._best(fits)
+        return self._best_fit(fits)
 
     def finish(self, begun: Fit) -> Fit:
         """Continues a fit of `begin`, now with all observations."""
         return self.descend(begun.hypothesis, begun.state, _FULL_STEPS)
 
-    def _best(self, fits: Sequence[Fit]) -> Fit:
+    def _best_fit(self, fits: Sequence[Fit]) -> Fit:
         """The fit with the lowest Huber cost; the limit of each recording is the smallest among the fits. Fits with
         non-finite residuals (marker behind the camera) count only if all are such."""
         fits = [fit for fit in fits if fit.finite] or fits
@@ -583,7 +583,7 @@ class _Descent:
             part = fitter.normal(row, extra, huber_weight(row.residual, limit) / times**2)
             matrix += part.matrix
             gradient += part.gradient
-        values = self._values(point.state)
+        values = self._effect_values(point.state)
         gradient[fitter.unknowns.effects :] -= self.curve_precision @ values
         held = np.concatenate([self.held, self._at_bounds(point.state, gradient)])
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
@@ -609,11 +609,11 @@ class _Descent:
     def cost(self, point: _Point) -> float:
         """Huber's cost with the limits of the last linearisation, plus the prior of effects that are curves. The other
         priors only damp each step: they are centred on the point before the step, and no part of the cost."""
-        values = self._values(point.state)
+        values = self._effect_values(point.state)
         of_data = huber_cost(point.residuals, self.limits, self.fitter.relative_noise)
         return of_data + float(values @ self.curve_precision @ values)
 
-    def _values(self, state: ParameterState) -> Array:
+    def _effect_values(self, state: ParameterState) -> Array:
         """(slots,) The effects' fitted parameters, in the order of the hypothesis' slots."""
         return np.array([state.values[slot.key] for slot in self.hypothesis.slots])
 
@@ -648,7 +648,8 @@ def _columns_by_tables(
 
 
 def _without_details(curves: Nominal, model: Model) -> Model:
-    """The model with a single play, and with B and f_remain replaced by their least-squares splines of these bases."""
+    """The model with a single play, and within the bases' range with B and f_remain replaced by their least-squares
+    splines of these bases."""
     width = model.width - spline_residual(curves.width, model.q, model.width)
     c_deg = model.c_deg - spline_residual(curves.follow, model.q, model.c_deg)
     return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE, friction=None)

@@ -22,7 +22,7 @@ _LARGEST_SHARE = 0.99  # limit: of a share or probability that is learnt by its 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """All positive; learnt as logarithms."""
+    """The numbers that a verdict depends on. All are positive, and they are learnt as logarithms."""
 
     noise_tells: float  # independent numbers in a block of noise: one of a misfit is known to 1/sqrt of it of the noise
     block_freedom: float  # degrees of freedom of a block's misfit: how much blocks' misfits differ
@@ -45,8 +45,8 @@ class Hyperparameters:
     disturbed: float  # share of blocks in which something happens that no model has, such as the moment of a shift
 
     def mimicked(self, parameters: Array | float) -> Array:
-        """(...,) Probability that wrong effects with so many parameters (...,) leave no more than right ones, 1 - (1 -
-        mimics)^parameters: each parameter is a chance to follow the cause."""
+        """Probability that a wrong effect with so many parameters (any shape) leaves no more than a right one: 1 - (1 -
+        mimics)^parameters, as each parameter, at least one, is a chance to follow the cause."""
         return np.asarray(1.0 - (1.0 - self.mimics) ** np.maximum(parameters, 1))
 
     def logarithms(self) -> Array:
@@ -55,7 +55,7 @@ class Hyperparameters:
 
     @classmethod
     def of_logarithms(cls, values: Array) -> Hyperparameters:
-        """The inverse of `logarithms`; shares and probabilities are kept at _LARGEST_SHARE or below."""
+        """The inverse of `logarithms`, except that shares and probabilities (_SHARES) are limited to _LARGEST_SHARE."""
         by_name = {f.name: math.exp(v) for f, v in zip(fields(cls), values, strict=True)}
         kept = {name: min(value, _LARGEST_SHARE) if name in _SHARES else value for name, value in by_name.items()}
         return cls(**kept)
@@ -76,7 +76,8 @@ class Learnt:
     later: tuple[float, float] = (0.0, 0.0)  # the same where a named effect grows with time: an unseen motion is later
 
     def to_toml(self, cases: Mapping[str, int]) -> str:
-        """As TOML text. cases: the number of cases of each generator it was learnt on."""
+        """The content of FILE as TOML text, numbers rounded to four digits (the quantiles to three). cases: of how many
+        cases of each generator it was learnt."""
         center = {name: float(f"{value:.4g}") for name, value in asdict(self.center).items()}
         learnt_on = {"cases": dict(cases), "covers": float(f"{self.covers:.4g}")}
         ends = {
@@ -87,15 +88,15 @@ class Learnt:
 
     @classmethod
     def of_toml(cls, document: Mapping[str, object]) -> Learnt:
-        """Out of a parsed TOML document as `to_toml` writes it."""
+        """Reads a parsed TOML document as `to_toml` writes it; its `cases` are not kept."""
         center = document["center"]
         assert isinstance(center, dict) and isinstance(document["covers"], float)
-        elsewhere, later = _ends(document["elsewhere"]), _ends(document["later"])
+        elsewhere, later = _interval_of(document["elsewhere"]), _interval_of(document["later"])
         return cls(Hyperparameters(**center), document["covers"], elsewhere, later)
 
 
-def _ends(interval: object) -> tuple[float, float]:
-    """(Low, high) end of an interval, which is a list of two in TOML."""
+def _interval_of(interval: object) -> tuple[float, float]:
+    """(Low, high) end of an interval that TOML has as a list of two numbers."""
     assert isinstance(interval, list)
     low, high = interval
     return float(low), float(high)
@@ -106,5 +107,5 @@ NAMES = tuple(field.name for field in fields(Hyperparameters))
 
 @cache
 def learnt() -> Learnt:
-    """What the package's FILE holds, read once."""
+    """The content of the package's FILE, which is read once."""
     return Learnt.of_toml(tomllib.loads(resources.files(__package__).joinpath(FILE).read_text("utf-8")))
