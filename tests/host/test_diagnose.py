@@ -337,11 +337,11 @@ def test_every_other_block_holds_both_ways(period_s):
 
 
 def test_a_direction_has_a_bin_of_its_own():
-    from tautline.diagnosis.where import _condition
+    from tautline.diagnosis.where import _condition_of_axis
 
     rng = np.random.default_rng(1)
     way = rng.choice([-1.0, 0.0, 1.0], 900)
-    found = _condition("direction", way, np.where(way < 0, 2.0, 0.1)[:, None])
+    found = _condition_of_axis("direction", way, np.where(way < 0, 2.0, 0.1)[:, None])
     assert list(found.centres) == [-1.0, 0.0, 1.0]
     assert found.power == pytest.approx([4.0, 0.01, 0.01]) and found.says == "while the motor falls"
 

@@ -12,7 +12,7 @@ from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.huber import huber_weight
 from tautline.diagnosis.moments import refined, seen_to_happen
-from tautline.diagnosis.screen import _FromEdges, _Scan, screen
+from tautline.diagnosis.screen import _HeldFromEdges, _Scan, screen
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 from tautline.encoder import between_counts, straight_lines
@@ -225,7 +225,7 @@ def test_moments_that_are_scored_at_once_have_the_gain_of_columns_that_begin_the
     columns = scan._columns_if_always(BY_ID["transmission.slip"])
     times = [s.session_s[s.scored] for s in fitter.coarse.segments]
     edges = np.array([5.0, 30.0, 102.6, 104.0, 110.0])
-    from_edges = _FromEdges(scan, columns, edges)
+    from_edges = _HeldFromEdges(scan, columns, edges)
     for chosen in ([], [3], [3, 0]):
         tried = [i for i in range(len(edges)) if i not in chosen]
         amplitudes, gains = from_edges.gains(chosen, tried)

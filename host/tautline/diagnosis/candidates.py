@@ -200,10 +200,10 @@ class Search:
 
     def on_top_of(self, below: Candidate, refits: int, rescoped: int) -> list[Candidate]:
         """Fits one more effect on top of `below` and returns the candidates, smallest `_mean_log_power` first. Effects
-        are screened linearly; those that are `_effects_to_fit` get a first fit, and those that are not `_are_hopeless` are
-        finished. Of the best `rescoped` candidates the effect is also fitted in its other scopes (since when it is
-        there); 0 where `below` has an effect already. refits: number of effects with the largest linear score that are
-        fitted."""
+        are screened linearly; `_effects_to_fit` chooses some of them for a first fit, and the fits that are not
+        hopeless (`_are_hopeless`) are finished. The effects of the best `rescoped` candidates are also fitted in their
+        other scopes (since when they are there); 0 where `below` has an effect already. refits: number of effects with
+        the largest linear score that are fitted."""
         screened: dict[str, dict[Scope, Screened]] = {}  # by id and scope, the largest score first
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits, self.scopes):
             screened.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
@@ -285,8 +285,9 @@ class Search:
         return [self.evaluated(fit)]
 
     def _finished_with_more_moments(self, below: Candidate, entry: Screened, begun: Fit) -> list[Candidate]:
-        """As `_finished_candidates`; for an effect that happens at moments (shift, slip) it also fits two moments, three and so
-        on, until a fit fails or leaves more than the one before. Returns all candidates, that last one included."""
+        """As `_finished_candidates`; for an effect that happens at moments (shift, slip) it also fits two moments,
+        three and so on, until a fit fails or leaves more than the one before. Returns all candidates, that last one
+        included."""
         fitted = self._finished_candidates(entry, begun)
         for repeated in entry.more if fitted else ():
             again = self._finished_candidates(repeated, self._first_fit(below, repeated))

@@ -156,10 +156,9 @@ def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[f
 
 
 def _posterior(likelihoods: Likelihoods) -> tuple[Array, float]:
-    """((hypotheses + 1,) posterior probabilities, the last one of an unknown cause; the share of this last one that was
-    there while calibrating). A hypothesis has its likelihood times its prior, normalised; of those with the same
-    effects only the best one counts. An unknown cause may be scatter, a path, or what the calibration leaves of its own
-    recording; the last of these takes its share from the hypothesis without effects."""
+    """((hypotheses + 1,) posterior probability of each hypothesis, likelihood times prior over their sum, and last that
+    of an unknown cause: of scatter, of a path, or of what the calibration leaves of itself; the share of the latter).
+    Among hypotheses with the same effects only the best has any."""
     best = list(likelihoods.best.values())
     log = np.full(len(likelihoods.log_likelihood) + 1, -np.inf)
     log[best] = likelihoods.log_likelihood[best] + likelihoods.prior[best]
@@ -167,7 +166,6 @@ def _posterior(likelihoods: Likelihoods) -> tuple[Array, float]:
     unknown_path = likelihoods.unknown + np.log(likelihoods.hyper.odds_unknown)
     log[-1] = log_sum(np.append(unknown_scatter, unknown_path))
     p = np.exp(log - log_sum(log))
-    # Part of "nothing changed" is that an unknown cause was there all the time.
     from_start = likelihoods.unknown_from_start * float(p[0])
     p[0], p[-1] = p[0] - from_start, p[-1] + from_start
     return p, from_start / max(float(p[-1]), 1e-300)

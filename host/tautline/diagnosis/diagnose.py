@@ -52,7 +52,7 @@ class Diagnosis(Value):
 
     @property
     def verdict(self) -> Literal["effect", "none", "unknown"]:
-        """"effect" where the gap has a known cause, "none" where there is no gap, "unknown" where its cause is
+        """ "effect" where the gap has a known cause, "none" where there is no gap, "unknown" where its cause is
         unknown."""
         return cast(Literal["effect", "none", "unknown"], self.document["verdict"])
 

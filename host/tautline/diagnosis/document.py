@@ -133,7 +133,9 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "tracker": found.tracked.to_json() if found.tracked else None,  # of videos: the noise of a moving marker
         "flexible": found.by_gaussian_process.to_json() if found.by_gaussian_process else None,
         "effects": _effect_entries(found, shares),
-        "moved": [{"id": part.id, "share": part.share, "since": _reported_scope(found, part.id).since} for part in parts],
+        "moved": [
+            {"id": part.id, "share": part.share, "since": _reported_scope(found, part.id).since} for part in parts
+        ],
         "candidates": _candidate_entries(found),
         "probability_none": found.verdict.none,
         "probability_unknown": found.verdict.unknown,

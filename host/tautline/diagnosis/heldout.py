@@ -38,7 +38,8 @@ def residuals_and_surprise(
     limits: of each recording, px or deg, beyond which a residual counts linearly (Huber)."""
     matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
     blocks_of = [
-        _blocks_of_recording(fitter, *recording) for recording in zip(rows, labels, limits, fitter.relative_noise, strict=True)
+        _blocks_of_recording(fitter, *recording)
+        for recording in zip(rows, labels, limits, fitter.relative_noise, strict=True)
     ]
     for blocks in blocks_of:
         for block in blocks:
@@ -87,7 +88,9 @@ class _Block:
     normal: Normal
 
 
-def _blocks_of_recording(fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: float, times: float) -> list[_Block]:
+def _blocks_of_recording(
+    fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: float, times: float
+) -> list[_Block]:
     """Splits a recording into its blocks, each with its normal equations. label (scored,): the number of each
     observation's block; limit: of Huber's cost, px or deg; times: the recording's relative noise."""
     blocks = []

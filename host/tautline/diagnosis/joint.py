@@ -182,7 +182,9 @@ class Joint:
     def effects(self, u: Array) -> tuple[Effect, ...]:
         """The effects at u (m,) that are not in the model's tables: the changed parameters of the simulator, the
         dependence of the width on speed if it is not 0, and, if the joint is loose, its pull, place and drag."""
-        changes = {simulator_id(p.name): _change_from_nominal(p, float(x)) for p, x in zip(self.parameters, u, strict=False)}
+        changes = {
+            simulator_id(p.name): _change_from_nominal(p, float(x)) for p, x in zip(self.parameters, u, strict=False)
+        }
         found = [Effect(name, {name: value}) for name, value in changes.items() if value]
         speed = float(u[self.places[SPEED]][0])
         if speed:

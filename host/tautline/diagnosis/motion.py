@@ -53,41 +53,42 @@ class _Phase:
 
     @property
     def cycles(self) -> int:
-        """There and back, so often that it takes about _PHASE_S."""
+        """The number of strokes there and back, at least 1, that together take about _PHASE_S."""
         return max(1, round(_PHASE_S / (2 * ((self.high - self.low) / self.speed + self.rest_s))))
 
     @cached_property
     def strokes(self) -> Trajectory:
-        """From `low` and back to it."""
-        return self._through([self.low, *[self.high, self.low] * self.cycles], self.rest_s)
+        """The motion from `low` to `high` and back, `cycles` times."""
+        return self._strokes_through([self.low, *[self.high, self.low] * self.cycles], self.rest_s)
 
     def approach(self, width: float, range_: tuple[float, float]) -> Trajectory:
-        """To `low`, so that a backlash of `width` has been driven through both ways. range_: of the motor."""
+        """The motion from `low` to a point at least _WIDTHS `width` away and back, so that a backlash of `width`, unit
+        of q, is driven through in both directions. range_: of the motor, which it does not leave."""
         there = self.low + _WIDTHS * width
         there = there if there <= range_[1] else max(range_[0], self.low - _WIDTHS * width)
-        return self._through([self.low, there, self.low], rest_s=0.0)
+        return self._strokes_through([self.low, there, self.low], rest_s=0.0)
 
     def move_from(self, q: float) -> Trajectory:
-        """From the position q, the rig's unit, to `low` at the phase's speed, without a rest; nothing where it is
-        there."""
-        return self._through([q, self.low], rest_s=0.0)
+        """The motion from the position q, the rig's unit, to `low` at the phase's speed, without a rest; empty where q
+        is `low`."""
+        return self._strokes_through([q, self.low], rest_s=0.0)
 
-    def _through(self, points: Sequence[float], rest_s: float) -> Trajectory:
-        """The motion from the first of these positions, the rig's unit, to each further one at the phase's speed, with
-        a rest of rest_s at each."""
+    def _strokes_through(self, points: Sequence[float], rest_s: float) -> Trajectory:
+        """The motion through these positions, the rig's unit, in their order, at the phase's speed, with a rest of
+        rest_s at each."""
         return trajectory.through(points, self.speed, _PER_SPEED * self.speed, rest_s)
 
 
 def best(fitter: Fitter, rivals: Rivals) -> NextMotion:
-    """The motion of _LONGEST_S at most that is expected to tell most for its time about which of these is right. Where
-    the recordings moved the other axes, these may sway meanwhile."""
+    """Plans the motion, at most _LONGEST_S long, that is expected to tell most about which of the rivals is right. If
+    the recordings moved other axes of a camera's instrument, a motion during which these sway is compared too."""
     axes = fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments)
-    plans = [_planned(fitter, rivals, sway) for sway in ((False, True) if axes else (False,))]
+    plans = [_plan(fitter, rivals, sway) for sway in ((False, True) if axes else (False,))]
     return max(plans, key=lambda plan: plan.information)
 
 
 def table(motion: Trajectory, unit: str) -> pd.DataFrame:
-    """The content of next_motion.csv at 100 Hz: t_s, q in the actuator's `unit`, and the other axes that move."""
+    """The content of next_motion.csv at 100 Hz: t_s, q in the actuator's `unit`, and the other axes if they move."""
     columns = {"t_s": motion.t_s, f"q_{unit}": motion.q}
     if motion.translation_mm is not None:
         columns["translation_mm"] = motion.translation_mm
@@ -96,12 +97,12 @@ def table(motion: Trajectory, unit: str) -> pd.DataFrame:
     return pd.DataFrame(columns).iloc[::_POINTS]
 
 
-def _planned(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
-    """As `best`, with the other axes at rest or swaying: phase after phase, the one first that tells most for its
-    time, until what is open is told or the time is up."""
-    actuator, last = fitter.model.rig.actuator, _latest(fitter)
+def _plan(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
+    """As `best`, with the other axes at rest or swaying. Phases are added one after the other, each time the one that
+    tells most per second, until nothing more is told or the time is up."""
+    actuator, last = fitter.model.rig.actuator, _latest_recording(fitter)
     phases, width = _phases(fitter), float(fitter.model.width.max())
-    segments = [_segment(fitter, phase, width, sway) for phase in phases]
+    segments = [_planned_segment(fitter, phase, width, sway) for phase in phases]
     # As many of the sensor's observations as one that is planned stands for.
     weight = _PERIOD_S * (len(last.arrival_s) - 1) / float(np.ptp(last.arrival_s))
     outlook = Outlook(fitter, rivals, segments, weight)
@@ -129,25 +130,25 @@ def _planned(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
     motion = trajectory.in_turn(*parts)
     if sway:
         motion = motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S)
-    why = _in_words([phases[i] for i in chosen], actuator.unit) + (" while the other axes sway" if sway else "")
+    why = _phases_in_words([phases[i] for i in chosen], actuator.unit) + (" while the other axes sway" if sway else "")
     return NextMotion(why, motion, told, rivals.entropy)
 
 
-def _in_words(phases: Sequence[_Phase], unit: str) -> str:
-    """What a motion of these phases is."""
+def _phases_in_words(phases: Sequence[_Phase], unit: str) -> str:
+    """Describes a motion of these phases: its strokes, speeds and longest rest. unit: of q."""
     strokes = [phase.high - phase.low for phase in phases]
     speeds, rest = [phase.speed for phase in phases], max(phase.rest_s for phase in phases)
     of_strokes = f"strokes of {min(strokes):.2g} to {max(strokes):.2g} {unit}"
     return f"{of_strokes} at {min(speeds):.2g} to {max(speeds):.2g} {unit}/s with rests of up to {rest:.1f} s"
 
 
-def _latest(fitter: Fitter) -> Segment:
-    """The recording that ends last, in whatever order they were given: the next one comes after it."""
+def _latest_recording(fitter: Fitter) -> Segment:
+    """The recording that ends last, whatever the order in which they were given."""
     return max(fitter.segments, key=lambda segment: segment.end_s)
 
 
 def _moves_other_axes(motor: Motor) -> bool:
-    """Whether translation or rotation varies in a recording, so that the set-up can move these axes."""
+    """Whether translation or rotation varies in a recording, so that the set-up is able to move these axes."""
     return any(x is not None and float(np.ptp(x)) > 0.0 for x in (motor.translation_mm, motor.rotation_deg))
 
 
@@ -172,10 +173,11 @@ def _phases(fitter: Fitter) -> list[_Phase]:
     return phases
 
 
-def _segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
-    """A phase as a recording after the last one: an observation each _PERIOD_S, of which only the time counts, once the
-    tip has been taken to both envelopes. width: the widest B, unit of q; sway: whether the other axes do."""
-    last, actuator = _latest(fitter), fitter.model.rig.actuator
+def _planned_segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
+    """A phase as a recording made after the last one. It has an observation every _PERIOD_S once the tip has been taken
+    to both envelopes; only their times are meant, the observed values are 0. width: the widest B, unit of q; sway:
+    whether the other axes sway."""
+    last, actuator = _latest_recording(fitter), fitter.model.rig.actuator
     approach = phase.approach(width, actuator.range)
     motion = trajectory.in_turn(approach, phase.strokes)
     if sway:

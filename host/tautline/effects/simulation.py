@@ -120,7 +120,9 @@ def follow(
     order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
     rising = scene if order is None else scene[order]
     if outside:
-        path = _path_with_python_laws(outside, model, motor, rising, parameters, start_deg, load_reference, clock_offset_s)
+        path = _path_with_python_laws(
+            outside, model, motor, rising, parameters, start_deg, load_reference, clock_offset_s
+        )
     else:
         path = _native_path(model, motor, rising, parameters, start_deg, load_reference, clock_offset_s)
     return path if order is None else _samples_of_path(path, np.argsort(order, kind="stable"))
@@ -141,9 +143,9 @@ def _path_with_python_laws(
     load_reference: float,
     clock_offset_s: float,
 ) -> Path:
-    """As `_native_path`, with the Python laws of the effects `outside` applied in their places (input, state, output). They
-    are evaluated at every motor sample and scene time. `gain` does not contain their derivatives, so a fit's steps of
-    the nominal model are less exact."""
+    """As `_native_path`, with the Python laws of the effects `outside` applied in their places (input, state, output).
+    They are evaluated at every motor sample and scene time. `gain` does not contain their derivatives, so a fit's steps
+    of the nominal model are less exact."""
     times = np.union1d(motor.t_s, rising)
 
     def through(place: str, values: Array) -> Array:
