@@ -220,8 +220,8 @@ def flexible(document: Mapping[str, Any]) -> str:
     text = ""
     if swing:
         text = (
-            f"{_capitalised(what)} swings with a period of {swing:.2g} s ({60 / swing:.0f} a minute), whatever the motor "
-            "does. "
+            f"{_capitalised(what)} swings with a period of {swing:.2g} s ({60 / swing:.0f} a minute), whatever the "
+            "motor does. "
         )
     share = closed["closable_shrink"]
     process = "a flexible model of motor position, travel since the reversal, speed, time and the other axes"

@@ -15,7 +15,10 @@ def says(document: Mapping[str, Any], name: str) -> str:
     simulator and on the robot."""
     for parameter in _named_parameters(document):
         if simulator_id(parameter["name"]) == name:
-            return f"the simulator has {parameter['name']} {parameter['nominal']:.3g}, the robot {_value_in_words(parameter)}"
+            return (
+                f"the simulator has {parameter['name']} {parameter['nominal']:.3g}, "
+                f"the robot {_value_in_words(parameter)}"
+            )
     return BY_ID[name].says
 
 

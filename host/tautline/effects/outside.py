@@ -37,7 +37,8 @@ def _loaded(entry: EntryPoint) -> Sequence[Kind]:
     except Exception as error:  # of somebody else's module: anything
         if _is_being_imported(entry):
             raise TautError(
-                f"{_entry_in_words(entry)} cannot be taken while it is being imported: put 'import tautline.effects' before it"
+                f"{_entry_in_words(entry)} cannot be taken while it is being imported: put "
+                "'import tautline.effects' before it"
             ) from error
         raise TautError(f"{_entry_in_words(entry)} cannot be imported ({error}): mend or uninstall it") from error
     if not isinstance(kinds, tuple) or not all(isinstance(kind, Kind) for kind in kinds):
