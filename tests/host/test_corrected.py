@@ -206,7 +206,7 @@ def test_the_next_motion_stays_within_the_rig_and_asks_for_no_axis_that_never_mo
             for name in ("transmission.lag", "kinematics.nonconstant_curvature")
         ]
         rivals = Rivals.of([Fit(fitter.no_effect, start, []), *fits], [0.0, 0.5, 0.5, 0.0])
-        found = motion.best(fitter, rivals)
+        found = motion.plan_best_motion(fitter, rivals)
         table = motion.table(found.motion, "mm")
         low, high = RIG.actuator.range
         assert table["q_mm"].between(low, high).all()

@@ -11,7 +11,7 @@ from tautline.diagnosis.candidates import Search, applicable
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.huber import huber_weight
-from tautline.diagnosis.moments import refined, seen_to_happen
+from tautline.diagnosis.moments import moments_are_seen, refine_moments
 from tautline.diagnosis.screen import _HeldFromEdges, _Scan, screen
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
@@ -210,7 +210,7 @@ def test_what_slips_twice_is_found_twice():
     once, *_ = screen(fitter, base, [BY_ID["transmission.slip"]], limits)
     twice = once.more[0]
     found = fitter.fit(Hypothesis().plus(twice.kind, twice.scope), twice.values, base.state)
-    found = refined(fitter, found, limits)
+    found = refine_moments(fitter, found, limits)
     assert rms(found.residuals) < 1.1 * NOISE
     slips = sorted((found.state.values[f"slip_time_{i}"], found.state.values[f"slip_{i}"]) for i in (1, 2))
     assert [size for _, size in slips] == pytest.approx([-0.06, 0.09], abs=2e-3)
@@ -313,7 +313,7 @@ def test_a_moment_is_seen_by_the_frames_that_show_it_however_late_they_arrive(be
     hypothesis = Hypothesis().plus(BY_ID["registration.shift"], Scope.START)
     fit = Fit(hypothesis, state, fitter.residuals(state, hypothesis))
     assert rms(fit.residuals) < 1.1 * NOISE
-    assert seen_to_happen(fitter, fit, [1e3, 1e3]) == seen
+    assert moments_are_seen(fitter, fit, [1e3, 1e3]) == seen
 
 
 def test_a_moment_is_found_by_a_sensor_that_the_model_was_not_calibrated_with():

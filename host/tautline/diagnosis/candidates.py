@@ -279,8 +279,8 @@ class Search:
         finite, or no recording shows its moments or its drift. Moments are searched to a frame."""
         fit = self.fitter.finish(begun)
         if fit.finite and moments.moments_of(fit):
-            fit = moments.refined(self.fitter, fit, self.limits)
-        if not (fit.finite and moments.seen_to_happen(self.fitter, fit, self.limits) and self._drift_is_seen(fit)):
+            fit = moments.refine_moments(self.fitter, fit, self.limits)
+        if not (fit.finite and moments.moments_are_seen(self.fitter, fit, self.limits) and self._drift_is_seen(fit)):
             return []
         return [self.evaluated(fit)]
 

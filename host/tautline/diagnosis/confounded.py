@@ -25,7 +25,7 @@ _PLACES = 12  # tolerance: bins of the motor's position in which the load that a
 _SLOW_S = 0.5  # tolerance: s over which the load is averaged: faster changes are no change of load
 
 
-def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]:
+def drift_hidden_by_load(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]:
     """{drift's id: load dependence's id} where both are to be tried and the recorded load changes just once: the two
     are then confounded, drift is not fitted, and it is reported with a share of load dependence's probability
     (`add_hidden`). Otherwise {}."""

@@ -174,7 +174,7 @@ def _prepare(
     base = _recalibrate(fitter, frozen, tracked)
     fitter.floor = _noise_floor(fitter, frozen[0], base, tracked.noise if tracked else 0.0)
     kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
-    hidden = confounded.hidden(kinds, fitter.segments)
+    hidden = confounded.drift_hidden_by_load(kinds, fitter.segments)
     return _Prepared(model, fitter, tracked, frozen, base, [kind for kind in kinds if kind.id not in hidden], hidden)
 
 

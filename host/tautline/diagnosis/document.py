@@ -99,7 +99,7 @@ class Found:
         """The motion that is expected to tell most about which hypothesis is right; None where no effect with a path
         was fitted."""
         rivals = _rivals(self.gathered, self.verdict)
-        return motion.best(self.fitter, rivals) if rivals else None
+        return motion.plan_best_motion(self.fitter, rivals) if rivals else None
 
     @cached_property
     def gap(self) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class Found:
         """How much of what is left a Gaussian process would predict; None where only noise is left, or there are too
         few observations."""
         still_open = decide.is_open(self.gathered.evidence, self.gap["after"] ** 2)
-        return flexible.close(self.tests, self.after, self.floor) if still_open else None
+        return flexible.cross_validate(self.tests, self.after, self.floor) if still_open else None
 
 
 def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class Flexible:
         }
 
 
-def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
+def cross_validate(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
     """Cross-validates a Gaussian process of the residuals, (scored, k) of each recording: it is trained on either half
     of the blocks and predicts the other half. Its inputs are motor position, travel since the reversal, direction,
     speed, other axes, load, time and the phase of an oscillation, if there is one. floor: one standard deviation of the

@@ -242,7 +242,7 @@ class Joint:
         it can run several at once."""
         steps = []
         for step in _DIFFERENCE * np.eye(len(u)):
-            steps.append(step if np.array_equal(self.within(u + step), u + step) else -step)
+            steps.append(step if np.array_equal(self.within_ranges(u + step), u + step) else -step)
         for step in steps:
             for segment in self.segments:
                 segment.ask(self.changes(u + step))
@@ -265,7 +265,7 @@ class Joint:
             progress((i + 1) / _ROUNDS)
         return self._laplace_fit(point, noise)
 
-    def loosened(self, held: Fitted) -> tuple[Joint, Array] | None:
+    def loose_variant(self, held: Fitted) -> tuple[Joint, Array] | None:
         """(The same unknowns with a joint that is loose within the play, u from which to fit them). `held` is the fit
         of this joint. A grid of starts (width, pull, place, drag) is tried; for each the law is fitted linearly and all
         else stays as in `held`, without speed and bends; the start with the smallest sum of squares is returned. None
@@ -288,7 +288,7 @@ class Joint:
         promising = least < _PROMISING * sum(float(np.sum(residuals**2)) for residuals in held.residuals)
         return (joint, best) if promising else None
 
-    def detailed(self, fitted: Fitted) -> tuple[Joint, Fitted]:
+    def with_more_detail(self, fitted: Fitted) -> tuple[Joint, Fitted]:
         """(The same unknowns with a law and a width of more detail (FORETELLING), their fit), found from the fit
         `fitted` of this joint."""
         joint = Joint(self.model, self.parameters, self.segments, self.floor, self.loose, FORETELLING)
@@ -298,7 +298,7 @@ class Joint:
         start[joint.places[BENDS]] *= self.detail.bend / joint.detail.bend
         return joint, joint.fit(start=start)
 
-    def left_without(self, fitted: Fitted, weights: Sequence[Array], step: Array) -> list[Array]:
+    def residuals_with_weights(self, fitted: Fitted, weights: Sequence[Array], step: Array) -> list[Array]:
         """(scored, k) of each recording: residuals of a fit in which the readings have these weights (scored,), 0 to 1.
         The fit is one linear `step` (m,) away from `fitted`, the fit of all; if that step raises the cost by _RAISED or
         more, the fit is found by a descent instead."""
@@ -320,7 +320,7 @@ class Joint:
         covariance[np.ix_(free, free)] = np.linalg.inv(matrix[np.ix_(free, free)])
         return Fitted(Posterior(names, point.u, covariance), noise, point.residuals, slopes, free)
 
-    def within(self, u: Array) -> Array:
+    def within_ranges(self, u: Array) -> Array:
         """A copy of u (m,) with every parameter clipped to its range, and the width kept from being negative, at rest
         and at speed."""
         clipped = u.copy()
@@ -333,12 +333,12 @@ class Joint:
         return clipped
 
 
-def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: None) -> tuple[Joint, Fitted]:
+def fit_held_or_loose(joint: Joint, progress: Callable[[float], None] = lambda share: None) -> tuple[Joint, Fitted]:
     """Fits a joint twice, held in its play and loose within it, and returns (joint, fit) of the likelier one: as the
     prior PRESENT of being loose and the evidence of both say. Only the first is fitted where no start of the second is
     promising; without a play it cannot be loose. progress: called with the share that is done, 0 to 1."""
     held = joint.fit(lambda share: progress(0.5 * share))
-    beginning = joint.loosened(held)
+    beginning = joint.loose_variant(held)
     if beginning is None:
         return joint, held
     loosened, start = beginning
@@ -376,7 +376,7 @@ class _Descent:
 
     def moved(self, point: _Point, step: Array) -> _Point:
         """The point reached by a step (m,), clipped to the unknowns' ranges, and simulated."""
-        u = self.joint.within(point.u + step)
+        u = self.joint.within_ranges(point.u + step)
         return _Point(u, self.joint.residuals(u))
 
     def cost(self, point: _Point) -> float:
@@ -407,7 +407,7 @@ def _normal_equations(noise: Noise, point: _Point, slopes: Sequence[Array]) -> t
 def _is_at_bound(joint: Joint, u: Array, gradient: Array) -> npt.NDArray[np.bool_]:
     """(m,) Whether each unknown is at an end of its range with the gradient pointing beyond it."""
     onward = u + np.sign(gradient) * _AT_BOUND
-    return np.asarray(joint.within(onward) != onward)
+    return np.asarray(joint.within_ranges(onward) != onward)
 
 
 def _only_positive(parameter: Declared) -> bool:

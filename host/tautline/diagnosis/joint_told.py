@@ -66,13 +66,13 @@ class Answer:
         for column in factor.T:
             step = np.zeros(joint.size)
             step[free] = column
-            below, above = (joint.model_at(joint.within(self.fitted.u + sign * step)) for sign in (-1.0, 1.0))
+            below, above = (joint.model_at(joint.within_ranges(self.fitted.u + sign * step)) for sign in (-1.0, 1.0))
             yield Deviation.of(below), Deviation.of(above)
 
     def _noise_of_unseen(self) -> float:
         """One standard deviation of a reading of an unseen motion, in the observations' unit."""
         before = gap.rms(self.joint.residuals(np.zeros(self.joint.size)))
-        return gap.unseen(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
+        return gap.noise_of_unseen_motion(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
 
     def _discrepancy(self) -> Discrepancy | None:
         """A Gaussian process, by place, speed and load, of the residuals of the plainer fit; its prior variance is by
@@ -130,7 +130,7 @@ class Answer:
 def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
     """(scored, k) for each recording: the residual of every block of manoeuvres by a fit in which only a share
     heldout.STAYS of that block's weight stays. That fit is one step -(N - N_b)^-1 g_b away; if the step does not lower
-    the cost, as where the model is linear only nearby, it is found by a descent (`Joint.left_without`)."""
+    the cost, as where the model is linear only nearby, it is found by a descent (`Joint.residuals_with_weights`)."""
     free, weight = fitted.free, fitted.noise.weight
     slopes = [slope[:, :, free] for slope in fitted.slopes]
     flat = [slope.reshape(-1, len(free)) for slope in slopes]
@@ -146,7 +146,7 @@ def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
             step[free] = -np.linalg.solve(normal - goes * rows.T @ rows, goes * rows.T @ residual[block].ravel())
             weights = [np.ones(len(r)) for r in fitted.residuals]
             weights[i][block] = heldout.STAYS
-            held_out[block] = joint.left_without(fitted, weights, step)[i][block]
+            held_out[block] = joint.residuals_with_weights(fitted, weights, step)[i][block]
         result.append(held_out)
     return result
 
@@ -169,7 +169,7 @@ def answer_to_hand_out(answer: Answer) -> Answer:
     """The answer whose model is handed out: one with more detail of law and width if it surely leaves less of held-out
     blocks, else `answer`. What is named comes from `answer` alone, as law and width of much detail can stand for other
     causes. It fits the detailed unknowns to find out."""
-    detailed = Answer.of(*answer.joint.detailed(answer.fitted))
+    detailed = Answer.of(*answer.joint.with_more_detail(answer.fitted))
     sure = gap.probability_of_shrinking(answer.held_out, detailed.held_out, answer.joint.segments)
     return replace(detailed, plainer=answer) if sure >= gap.SURELY else answer
 
@@ -185,7 +185,7 @@ def _joint_document(
     named = list(_effect_entries(answer, best, groups, gap.rms(diagnosis.before), after))
     sizes, named = _with_held_samples(was, sizes, named)
     is_open = decide.is_open(diagnosis.evidence, after**2)
-    closed = flexible.close(diagnosis.segments[1:], best.held_out, floor) if is_open else None
+    closed = flexible.cross_validate(diagnosis.segments[1:], best.held_out, floor) if is_open else None
     return {
         **was,
         "verdict": "effect",
@@ -213,8 +213,8 @@ def _with_held_samples(
     if held is None:
         return sizes, named
     sizes = dict(sizes)
-    repeated.grow(sizes, was["gap"]["before"])
-    repeated.shrink(sizes, was["noise_floor"] ** 2, learnt().elsewhere)
+    repeated.set_size_before(sizes, was["gap"]["before"])
+    repeated.set_shrinkages(sizes, was["noise_floor"] ** 2, learnt().elsewhere)
     rest = [{**effect, "shrink": effect["shrink"] * (1.0 - held["shrink"])} for effect in named]
     return sizes, [*rest, held]
 

@@ -52,7 +52,7 @@ class Likelihoods:
         right = self._as_right_effects
         own = np.where(case.size > 0, right + self._log_chance_of_rival, self._log_likelihood_of_no_change)
         # Scatter is told from frame to frame: a block of it counts as many observations as one of noise.
-        own = own + 0.5 * hyper.noise_tells * case.foretold_better(hyper.calibration_excess)
+        own = own + 0.5 * hyper.noise_tells * case.gain_by_event(hyper.calibration_excess)
         self.unknown_scatter: Array = np.where(case.scatters & (case.size == 1), right, -np.inf)
         replaced = self._replaced_by_contained
         reached = self._with_imitating_misfit(own, replaced)

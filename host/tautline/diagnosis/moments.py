@@ -32,7 +32,7 @@ def moments_of(fit: Fit) -> list[str]:
     return [name for kind in fit.hypothesis.kinds for name in kind.moments]
 
 
-def refined(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
+def refine_moments(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
     """The fit with its moments searched to a frame and all else fitted again, in up to _ROUNDS rounds. limits: of each
     recording, px or deg, to which residuals are cut."""
     for _ in range(_ROUNDS):
@@ -45,7 +45,7 @@ def refined(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
     return fit
 
 
-def seen_to_happen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
+def moments_are_seen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
     """Whether some recording shows each moment of the last added effect; True for an effect without moments. A change
     between two recordings is another registration or offset instead."""
     return all(_is_seen(fitter, fit, moment, limits) for moment in fit.hypothesis.kinds[-1].moments)

@@ -79,7 +79,7 @@ class _Phase:
         return trajectory.through(points, self.speed, _PER_SPEED * self.speed, rest_s)
 
 
-def best(fitter: Fitter, rivals: Rivals) -> NextMotion:
+def plan_best_motion(fitter: Fitter, rivals: Rivals) -> NextMotion:
     """Plans the motion, at most _LONGEST_S long, that is expected to tell most about which of the rivals is right. If
     the recordings moved other axes of a camera's instrument, a motion during which these sway is compared too."""
     axes = fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments)
@@ -98,8 +98,8 @@ def table(motion: Trajectory, unit: str) -> pd.DataFrame:
 
 
 def _plan(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
-    """As `best`, with the other axes at rest or swaying. Phases are added one after the other, each time the one that
-    tells most per second, until nothing more is told or the time is up."""
+    """As `plan_best_motion`, with the other axes at rest or swaying. Phases are added one after the other, each time
+    the one that tells most per second, until nothing more is told or the time is up."""
     actuator, last = fitter.model.rig.actuator, _latest_recording(fitter)
     phases, width = _phases(fitter), float(fitter.model.width.max())
     segments = [_planned_segment(fitter, phase, width, sway) for phase in phases]

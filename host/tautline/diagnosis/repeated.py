@@ -1,6 +1,6 @@
 """Samples that a sensor's link sends twice (`acquisition.held_samples`). Where a continuous sensor shows the same value
-again to the last digit that is certain, so no fit has to find it: such samples are no observations (segment.repeated),
-and what they add to the gap is put into the finished diagnosis.json."""
+again to the last digit that is certain, so no fit has to find it: such samples are no observations
+(segment.are_repeats), and what they add to the gap is put into the finished diagnosis.json."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     _count_repeats_in_gap(document, power, power - fresh_power)
     if named:
         goes_with_time = document["verdict"] == "effect" and any(BY_ID[e["id"]].course for e in document["effects"])
-        shrink(document["gap"], floor2, learnt().later if goes_with_time else learnt().elsewhere)
+        set_shrinkages(document["gap"], floor2, learnt().later if goes_with_time else learnt().elsewhere)
     document["count"] = _count_with_one_more(document["count"], _SURE if named else probability)
     if named:
         _name_repeats(document, segments, shrunk, leads)
@@ -124,7 +124,7 @@ def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) 
     contribute `added` (px^2 or deg^2). A recalibration, or any other effect alone, leaves `added` as it is; with the
     named effects each repeated sample is as far off as the one that it repeats."""
     recalibrated, fresh, before = document["gap_recalibrated"], document["gap"]["before"], float(np.sqrt(power))
-    grow(document["gap"], before)
+    set_size_before(document["gap"], before)
     recalibrated["before"] = float(np.sqrt(recalibrated["before"] ** 2 + added))
     for candidate in document["candidates"]:
         if candidate["id"] != HELD:
@@ -132,14 +132,14 @@ def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) 
             candidate["shrink"] = 1.0 - float(np.sqrt(left**2 + added)) / before
 
 
-def grow(sizes: dict[str, Any], before: float) -> None:
+def set_size_before(sizes: dict[str, Any], before: float) -> None:
     """Sets the rms before of `sizes` (diagnosis.json's `gap`, changed in place) to `before`, px or deg, which includes
     repeated samples; its interval is scaled alike."""
     fresh = sizes["before"]
     sizes["before"], sizes["before_ci"] = before, [before / fresh * end for end in sizes["before_ci"]]
 
 
-def shrink(sizes: dict[str, Any], floor2: float, excess: tuple[float, float]) -> None:
+def set_shrinkages(sizes: dict[str, Any], floor2: float, excess: tuple[float, float]) -> None:
     """Computes anew the shrinkages of `sizes` (diagnosis.json's `gap`, changed in place) from its rms before and after,
     as repeated samples are named too. The interval covers other blocks, by the worst ends of both rms intervals, and
     other motions. floor2: noise power; excess: as in `gap.shrink_interval_elsewhere`."""

@@ -109,7 +109,7 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], te
             path, predicted = segment.predict(fit.state.model, parameters, fitter.load_reference)
             seen = segment.observed / times
             parts.append(frames(segment.arrival_s, seen, predicted / times, path.p, block, segment.calibration))
-    return compared(parts, fitter.floor, blocks)
+    return compare_explanations(parts, fitter.floor, blocks)
 
 
 def frames(
@@ -146,7 +146,7 @@ def frames(
     )
 
 
-def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
+def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     """The loss of each explanation and the amount of each event, by maximum likelihood; all are 0 where no frame
     counts. parts: the frames of each recording; floor: one standard deviation of the noise of a coordinate, px or deg;
     blocks: the number of blocks in all."""

@@ -208,7 +208,7 @@ def _without_strays(
 ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """(Times (n,), s; observations (n, k); whether each repeats the one before (n,)), without observations so far off
     that they are no readings of the tip (`strays`). path: of the motor meanwhile; unit: "px" or "deg"."""
-    again = repeated(observed)
+    again = are_repeats(observed)
     fresh = np.flatnonzero(~again)
     noise = noise_of(times[fresh], observed[fresh], least_noise(unit))
     kept = np.ones(len(times), dtype=bool)
@@ -216,7 +216,7 @@ def _without_strays(
     return times[kept], observed[kept], again[kept]
 
 
-def repeated(observed: Array) -> npt.NDArray[np.bool_]:
+def are_repeats(observed: Array) -> npt.NDArray[np.bool_]:
     """(n,) Whether each observation (n, k) equals the one before to the last digit, so that the link has sent it twice.
     All False for a sensor that counts in steps, as such a reading may stay the same by itself."""
     again = repeats(observed)

@@ -234,7 +234,7 @@ class Stacked:
             self._beyond_row.append(rows[content])
         self._beyond_power, self._beyond_count = np.array(power), np.array(count)
 
-    def foretold_better(self, calibration_excess: float) -> Array:
+    def gain_by_event(self, calibration_excess: float) -> Array:
         """(hypotheses,) By how much an event predicts the frames better than anything without an event: the sum over
         its blocks of the log of the power, the best without less that with the event; negative where it predicts them
         worse, 0 without an event. Powers count as at least what a sound calibration leaves, (1 + calibration_excess)

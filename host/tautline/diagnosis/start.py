@@ -109,7 +109,7 @@ def of_segments(
     noise = gap.noise_floor(alike, base.residuals, fitter.across(base), fitter.relative_noise)
     fitter.floor = max(noise, moving)
     kinds = [kind for kind in applicable(fitter, left_out) if kind.id in NAMES]
-    hidden = confounded.hidden(kinds, alike)
+    hidden = confounded.drift_hidden_by_load(kinds, alike)
     kinds = [kind for kind in kinds if kind.id not in hidden]
     gathered = gather(fitter, base.residuals, base, kinds, progress, (Scope.START,))
     return Start(fitter, gathered, decide.decide(gathered.evidence))

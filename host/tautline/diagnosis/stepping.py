@@ -29,7 +29,9 @@ _SECOND = 3.0  # equation: 2^2 - 1: what lies between two of second order, the f
 _FITTED = 0.2  # prior: probability that a file's values were fitted at its own step, whose error is then in them
 
 
-def stepped(simulator: Simulator, robots: Sequence[Recording], rig: Rig) -> tuple[Simulator, StepError | None]:
+def without_step_error(
+    simulator: Simulator, robots: Sequence[Recording], rig: Rig
+) -> tuple[Simulator, StepError | None]:
     """(The simulator without the error of its steps, that error at its own step). The simulator itself and None are
     returned where its step is not known, where the error is no larger than what a sound calibration leaves, and where
     the robot's recordings are likelier with the error: the simulator's values were then fitted at that step, and hold

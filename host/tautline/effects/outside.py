@@ -17,7 +17,7 @@ from tautline.errors import TautError
 GROUP = "tautline.effects"
 
 
-def added(known: Sequence[Kind]) -> list[Kind]:
+def installed_effects(known: Sequence[Kind]) -> list[Kind]:
     """Loads the effects of all installed distributions, in the order of their entry points' names. known: the library's
     effects. TautError where an entry point cannot be loaded, or an effect is incomplete or shares an id or a
     parameter's name with another one."""

@@ -9,7 +9,7 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 
 from tautline.effects.kind import COLUMN, SIMULATOR, STAGES, Kind, of_simulator
-from tautline.effects.outside import added
+from tautline.effects.outside import installed_effects
 from tautline.model import Effect
 
 
@@ -41,7 +41,7 @@ _FOUND: list[Kind] = [
     for module in pkgutil.iter_modules(__path__)
     for kind in importlib.import_module(f"{__name__}.{module.name}").EFFECTS
 ]
-_FOUND += added(_FOUND)
+_FOUND += installed_effects(_FOUND)
 LIBRARY: tuple[Kind, ...] = tuple(sorted(_FOUND, key=lambda kind: (STAGES.index(kind.stage), kind.id)))
 BY_ID: Mapping[str, Kind] = _ById(LIBRARY)
 OWNER: Mapping[str, Kind] = {
