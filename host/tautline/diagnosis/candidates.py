@@ -101,8 +101,8 @@ class Candidate:
         return replace(self, fit=replace(self.fit, state=moved), held_out=residuals)
 
     def with_events_as_parameters(self) -> Candidate:
-        """The candidate with its events' amounts among the fitted values, as diagnosis.json reports them. No residual
-        may be computed from it any more: the simulation would draw a random course of them."""
+        """A copy with the amounts of its events added to the fitted values, as diagnosis.json reports them. No
+        residuals may be computed from this copy, as the simulation would draw a random course of the events."""
         values = {**self.fit.state.values, **self.scatters}
         return replace(self, fit=replace(self.fit, state=replace(self.fit.state, values=values)))
 

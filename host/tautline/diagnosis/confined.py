@@ -55,7 +55,10 @@ def _residuals_across(rows: Sequence[ScoredRows], directions: Sequence[Array]) -
     """(scored, 1) px for each recording: the residual's component across the given image directions (scored, 2), after
     a least-squares fit of the rows' columns to this component alone. Columns are scaled to unit norm first, as their
     units differ."""
-    parts = [(across(row.residual, way), across(row.columns, way)) for row, way in zip(rows, directions, strict=True)]
+    parts = [
+        (across(row.residual, direction), across(row.columns, direction))
+        for row, direction in zip(rows, directions, strict=True)
+    ]
     columns = np.concatenate([part[1] for part in parts])
     norm = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     residual = np.concatenate([part[0] for part in parts])
@@ -75,8 +78,8 @@ def _with_stage_freedom(fitter: Fitter, fit: Fit) -> list[ScoredRows]:
             came_later = all(since)
             present = [not (came_later and s.calibration) for s in fitter.segments]
             rows = [
-                replace(row, columns=np.concatenate([row.columns, added * here], axis=2))
-                for row, added, here in zip(rows, columns_of(fitter, rows), present, strict=True)
+                replace(row, columns=np.concatenate([row.columns, added * is_present], axis=2))
+                for row, added, is_present in zip(rows, columns_of(fitter, rows), present, strict=True)
             ]
     return rows
 

@@ -28,7 +28,7 @@ CLEARLY = 10.0  # loss: likelihood ratio, wrong effect's over right one's, from 
 
 @dataclass(frozen=True)
 class Decision:
-    """Probabilities of what causes the gap, and what is named."""
+    """The probabilities of what causes the gap, and which effects are named."""
 
     none: float  # probability that nothing is there but noise and what a calibration leaves
     unknown: float  # probability that the cause is no effect of the library

@@ -63,12 +63,12 @@ class Diagnosis(Value):
 
     @property
     def gap(self) -> Gap:
-        """The size of the gap before and after, in the observations' unit."""
+        """The sizes of the gap before and after the correction, rms in the observations' unit, px or deg."""
         return Gap.of(self.document)
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """The probability of each effect to be the main cause, the likeliest first, and of "none" and "unknown"; they
+        """{effect's id: probability to be the main cause}, the likeliest first, followed by "none" and "unknown"; they
         sum to 1."""
         leading = {entry["id"]: float(entry["probability"]) for entry in self.document["candidates"]}
         return {**leading, "none": self.document["probability_none"], "unknown": self.document["probability_unknown"]}
@@ -135,7 +135,7 @@ def _diagnosis(
 
 @dataclass(frozen=True)
 class _Prepared:
-    """What hypotheses are fitted to, and which."""
+    """The recordings' fitter, the models and effects to try: all that is needed before hypotheses are fitted."""
 
     model: Model  # as calibrated, without effects
     fitter: Fitter  # with its noise floor
@@ -148,7 +148,7 @@ class _Prepared:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """The hypotheses that were fitted, and the verdict on them."""
+    """The fitted hypotheses and the verdict on them."""
 
     fitter: Fitter
     gathered: Gathered

@@ -36,8 +36,8 @@ _AS_LARGE, _SAID = 0.5, 3  # format: share of the largest condition from which a
 
 @dataclass(frozen=True)
 class Found:
-    """All hypotheses of a diagnosis, and the one that was chosen. Residuals are (scored, k) of each recording, the
-    calibration first."""
+    """All that a document is made of: the hypotheses of a diagnosis, and the one that was chosen. Residuals are
+    (scored, k) of each recording, the calibration first."""
 
     model: Model  # as calibrated
     segments: Sequence[Segment]
@@ -89,10 +89,10 @@ class Found:
         effects are named and none of them depends on it. [] where the residuals are exactly zero."""
         if gap.rms(self.before) == 0.0:
             return []
-        every = where.conditions(self.tests, self.before)
+        all_conditions = where.conditions(self.tests, self.before)
         if self.verdict.name == "effect" and not _depends_on_time(self.chosen.fit, self.named):
-            return [condition for condition in every if condition.axis != "time"]
-        return every
+            return [condition for condition in all_conditions if condition.axis != "time"]
+        return all_conditions
 
     @cached_property
     def next_motion(self) -> motion.NextMotion | None:
@@ -325,7 +325,7 @@ def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     own = {p.name for p in kind.parameters if scope == Scope.EACH and not p.searched}
     keys = {p.name: key(p.name, latest.number) if p.name in own else p.name for p in kind.parameters}
-    reported = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
+    reported = {parameter: float(values[value_key]) for parameter, value_key in keys.items() if value_key in values}
     column = {effects.COLUMN: kind.column} if kind.column else {}
     return {**reported, **column, "since_calibration": float(bool(scope))}
 

@@ -27,7 +27,8 @@ class Finding(Value):
 
     @property
     def stage(self) -> str:
-        """Where in the chain from motor to image it acts: one of effects.STAGES, or "simulator"."""
+        """The stage of the chain from motor to image at which the effect acts: one of effects.STAGES, or
+        "simulator"."""
         return effects.BY_ID[self.id].stage
 
     @classmethod
@@ -39,7 +40,7 @@ class Finding(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gap(Value):
-    """Root mean squares on data that no fit saw, px per coordinate or deg."""
+    """The sizes of a gap: root mean squares on data that no fit saw, px per coordinate or deg."""
 
     unit: str
     floor: float  # the noise

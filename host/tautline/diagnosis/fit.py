@@ -176,7 +176,7 @@ class Fitter:
 
     @property
     def no_effect(self) -> Hypothesis:
-        """The hypothesis without any effect."""
+        """The hypothesis without any effect, for as many tests as there are recordings after the first."""
         return Hypothesis(tests=len(self.segments) - 1)
 
     def nominal(self, free: Collection[str] = PARTS) -> Fit:
@@ -197,11 +197,11 @@ class Fitter:
     def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
         """Indices, in the vector of unknowns, of the nominal model's unknowns that belong to `parts` (ids among
         PARTS)."""
-        order, every = self.unknowns, range(self.unknowns.effects)
+        order, all_indices = self.unknowns, range(self.unknowns.effects)
         indices = {
-            WIDTH: [*every[order.width], order.width_details],
-            REMAINING: [*every[order.follow], order.follow_details],
-            STATIC: [*every[order.static]],
+            WIDTH: [*all_indices[order.width], order.width_details],
+            REMAINING: [*all_indices[order.follow], order.follow_details],
+            STATIC: [*all_indices[order.static]],
             DELAY: [order.delay],
         }
         return np.array([i for part in parts for i in indices[part]], dtype=np.int64)
@@ -216,7 +216,8 @@ class Fitter:
         return parameter.inside(value, self.model.rig.actuator.span)
 
     def start(self) -> ParameterState:
-        """The point from which fits start: the calibrated model without effects, its registration as it is."""
+        """The state from which fits start: the calibrated model without effects, and with a camera a zero change of its
+        registration."""
         return ParameterState(self.model, dict.fromkeys(STATIC_NAMES, 0.0) if self.px else {})
 
     def residuals(self, state: ParameterState, hypothesis: Hypothesis) -> list[Array]:
@@ -630,21 +631,23 @@ def _columns_by_tables(
     bending angle (row.by_c), angle by curve (row.by_width or row.by_follow), curve by parameter. The last is taken at
     the play's centre row.p for B and at row.tip for f_remain. row: the recording linearised at `state`."""
     values, slots = state.at(segment, hypothesis), hypothesis.slots
-    found: set[int] = set()
+    written: set[int] = set()
     for kind in hypothesis.kinds:
         names = {parameter.name for parameter in kind.amplitudes if kind.slopes}
-        mine = {i: slot for i, slot in enumerate(slots) if slot.parameter.name in names and slot.holds_in(segment)}
-        if not (kind.slopes and mine):
+        slots_of_kind = {
+            i: slot for i, slot in enumerate(slots) if slot.parameter.name in names and slot.holds_in(segment)
+        }
+        if not (kind.slopes and slots_of_kind):
             continue
         of_width = kind.in_tables == "width"
         slopes = kind.slopes(state.model, values, row.p if of_width else row.tip)
         if slopes is None:
             continue
         by_curve = row.by_width if of_width else row.by_follow
-        change = np.column_stack([slopes[slot.parameter.name] for slot in mine.values()]) * by_curve[:, None]
-        into[:, :, list(mine)] = row.by_c[:, :, None] * change[:, None, :]
-        found |= mine.keys()
-    return found
+        change = np.column_stack([slopes[slot.parameter.name] for slot in slots_of_kind.values()]) * by_curve[:, None]
+        into[:, :, list(slots_of_kind)] = row.by_c[:, :, None] * change[:, None, :]
+        written |= slots_of_kind.keys()
+    return written
 
 
 def _without_details(curves: Nominal, model: Model) -> Model:

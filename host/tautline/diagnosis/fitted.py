@@ -22,7 +22,8 @@ STATIC_NAMES = tuple(p.name for p in effects.BY_ID["registration.static"].amplit
 
 
 class Scope(IntEnum):
-    """In which recordings an effect is there. bool(scope): whether the calibration is without it."""
+    """Since when an effect is there, and with which parameters. bool(scope): whether the calibration is without the
+    effect."""
 
     START = 0  # in all, the calibration included
     TESTS = 1  # in all after the calibration, with the same parameters
@@ -30,7 +31,7 @@ class Scope(IntEnum):
 
     @property
     def since(self) -> str:
-        """Its name in diagnosis.json."""
+        """The name of this scope in diagnosis.json ("start", "calibration" or "recording")."""
         return ("start", "calibration", "recording")[self]
 
 
@@ -114,7 +115,7 @@ class ParameterState:
 
 @dataclass(frozen=True)
 class Fit:
-    """A hypothesis at the best point that was found."""
+    """A hypothesis at the best point of its parameter space that was found."""
 
     hypothesis: Hypothesis
     state: ParameterState
@@ -122,7 +123,7 @@ class Fit:
 
     @property
     def finite(self) -> bool:
-        """Whether all residuals are numbers: they are NaN where the marker would be behind the camera."""
+        """Whether all residuals are finite. They are NaN where the marker would be behind the camera."""
         return all(bool(np.isfinite(r).all()) for r in self.residuals)
 
     @property

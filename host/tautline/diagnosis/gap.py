@@ -250,8 +250,8 @@ def shrink_interval_elsewhere(ratio: float, excess: tuple[float, float]) -> tupl
 
 
 def normalised_excess(ratio: float, realised: float) -> float:
-    """By how much the ratio after / before of an unseen motion (`realised`) exceeds that of the recorded motions
-    (`ratio`), in units of `_ratio_spread`: comparable between large and small gaps."""
+    """How much larger the ratio after / before is on an unseen motion (`realised`) than on the recorded ones (`ratio`),
+    in units of `_ratio_spread(ratio)`, so that large and small gaps compare."""
     return (realised - ratio) / _ratio_spread(ratio)
 
 
@@ -322,13 +322,19 @@ def bootstrap(before: Sequence[Array], after: Sequence[Array], labels: Sequence[
     (Kish: 1 / sum of squared shares), so that a draw resembles the recordings however unequal the blocks are. The seed
     is fixed. labels: (scored,) of each recording, the number of each observation's block."""
     blocks_of = []  # of each block: both mean squares, how many numbers
-    for b, a, label in zip(before, after, labels, strict=True):
+    for residual_before, residual_after, label in zip(before, after, labels, strict=True):
         for number in np.unique(label):
-            here = label == number
-            blocks_of.append((float(np.mean(b[here] ** 2)), float(np.mean(a[here] ** 2)), int(b[here].size)))
+            in_block = label == number
+            blocks_of.append(
+                (
+                    float(np.mean(residual_before[in_block] ** 2)),
+                    float(np.mean(residual_after[in_block] ** 2)),
+                    int(residual_before[in_block].size),
+                )
+            )
     table = np.array(blocks_of)
     share = table[:, 2] / table[:, 2].sum()
     effective = round(1.0 / float(np.sum(share**2)))
-    drawn = np.random.default_rng(_SEED).choice(len(table), (_DRAWS, effective), p=share)
-    result: Array = np.sqrt(table[drawn, :2].mean(axis=1)).T
+    chosen = np.random.default_rng(_SEED).choice(len(table), (_DRAWS, effective), p=share)
+    result: Array = np.sqrt(table[chosen, :2].mean(axis=1)).T
     return result

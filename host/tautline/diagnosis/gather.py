@@ -32,7 +32,7 @@ _WIDTH_THEN_ALL = ((WIDTH,), None)  # ids of what another posture changes that a
 
 @dataclass(frozen=True)
 class Gathered:
-    """All fitted hypotheses: as evidence for the verdict, and as fits."""
+    """All fitted hypotheses, both as evidence for the verdict and as fits."""
 
     evidence: CaseEvidence
     candidates: list[Candidate]  # of each of the evidence's hypotheses, in their order
@@ -242,7 +242,7 @@ class _Hypotheses:
                 self.add(candidate, events=i == 0 and len(candidate.ids) < _MOST_EFFECTS)
 
     def is_open(self, candidate: Candidate) -> bool:
-        """Whether a fit leaves more than noise and what a sound calibration leaves."""
+        """Whether a fit leaves more than noise and what a sound calibration leaves (`decide.is_open`)."""
         return decide.is_open(self.evidence(), candidate.power)
 
     def _best_single_is_open(self) -> bool:

@@ -55,7 +55,7 @@ def residuals_and_surprise(
         for block in blocks:
             without = matrix - (1.0 - STAYS) * block.normal.matrix
             step = -scale * scaled_solution(without, (1.0 - STAYS) * scale * block.normal.gradient, scale)
-            residual[block.here] -= fitter.moved(block.rows, step)
+            residual[block.in_block] -= fitter.moved(block.rows, step)
         held_out.append(residual)
         single = len(blocks) == 1
         surprise.append(
@@ -81,9 +81,9 @@ def _surprise(fitter: Fitter, row: Rows, normal: Normal, matrix: Array, scale: A
 
 @dataclass(frozen=True)
 class _Block:
-    """One block of manoeuvres of a recording."""
+    """One block of manoeuvres of a recording, linearised."""
 
-    here: npt.NDArray[np.bool_]  # (scored,) which of the recording's observations
+    in_block: npt.NDArray[np.bool_]  # (scored,) which of the recording's observations are in the block
     rows: Rows
     normal: Normal
 
@@ -95,10 +95,10 @@ def _blocks_of_recording(
     observation's block; limit: of Huber's cost, px or deg; times: the recording's relative noise."""
     blocks = []
     for number in np.unique(label):
-        here = label == number
-        rows = _rows_where(row, here)
+        in_block = label == number
+        rows = _rows_where(row, in_block)
         weight = huber_weight(rows.residual, limit) / times**2
-        blocks.append(_Block(here, rows, fitter.normal(rows, weight=weight)))
+        blocks.append(_Block(in_block, rows, fitter.normal(rows, weight=weight)))
     return blocks
 
 
@@ -126,7 +126,7 @@ def _sum_of(normals: Sequence[Normal]) -> Normal:
     )
 
 
-def _rows_where(row: Rows, here: npt.NDArray[np.bool_]) -> Rows:
+def _rows_where(row: Rows, mask: npt.NDArray[np.bool_]) -> Rows:
     """The rows of those observations where the mask `here` (scored,) is true."""
-    chosen = {name: getattr(row, name)[here] for name in _PER_OBSERVATION}
+    chosen = {name: getattr(row, name)[mask] for name in _PER_OBSERVATION}
     return replace(row, **chosen)

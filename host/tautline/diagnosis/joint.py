@@ -303,11 +303,11 @@ class Joint:
         The fit is one linear `step` (m,) away from `fitted`, the fit of all; if that step raises the cost by _RAISED or
         more, the fit is found by a descent instead."""
         problem = _Descent(self, fitted.noise, weights)
-        here = _Point(fitted.u, fitted.residuals)
-        there = problem.moved(here, step)
-        if problem.cost(there) < problem.cost(here) + _RAISED:
-            return there.residuals
-        return descend(problem, here, _REFITS).residuals
+        from_point = _Point(fitted.u, fitted.residuals)
+        stepped = problem.moved(from_point, step)
+        if problem.cost(stepped) < problem.cost(from_point) + _RAISED:
+            return stepped.residuals
+        return descend(problem, from_point, _REFITS).residuals
 
     def _laplace_fit(self, point: _Point, noise: Noise) -> Fitted:
         """Approximates the posterior as normal at its maximum `point`; unknowns at an end of their range get the
@@ -380,7 +380,7 @@ class _Descent:
         return _Point(u, self.joint.residuals(u))
 
     def cost(self, point: _Point) -> float:
-        """-2 log posterior, up to a constant."""
+        """-2 log posterior at this point, up to a constant, with the readings weighted."""
         return _cost(self.noise, _Point(point.u, self._weighted(point.residuals)))
 
     def enough(self, gained: float, cost: float) -> bool:
@@ -405,7 +405,7 @@ def _normal_equations(noise: Noise, point: _Point, slopes: Sequence[Array]) -> t
 
 
 def _is_at_bound(joint: Joint, u: Array, gradient: Array) -> npt.NDArray[np.bool_]:
-    """(m,) Whether each unknown is at an end of its range with the gradient pointing beyond it."""
+    """(m,) Whether each unknown of u (m,) is at an end of its range while the gradient (m,) points beyond it."""
     onward = u + np.sign(gradient) * _AT_BOUND
     return np.asarray(joint.within_ranges(onward) != onward)
 

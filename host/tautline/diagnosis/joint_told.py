@@ -26,7 +26,7 @@ _FRICTION_VARIES = 0.3  # prior: share by which friction differs from recording 
 
 @dataclass(frozen=True)
 class Answer:
-    """A joint fit with what is present in it and what it leaves."""
+    """The answer of a joint fit: which unknowns are present, and what the fit leaves."""
 
     joint: Joint
     fitted: Fitted
@@ -70,7 +70,8 @@ class Answer:
             yield Deviation.of(below), Deviation.of(above)
 
     def _noise_of_unseen(self) -> float:
-        """One standard deviation of a reading of an unseen motion, in the observations' unit."""
+        """One standard deviation of a reading of an unseen motion about the model's prediction, in the observations'
+        unit (`gap.noise_of_unseen_motion`)."""
         before = gap.rms(self.joint.residuals(np.zeros(self.joint.size)))
         return gap.noise_of_unseen_motion(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
 

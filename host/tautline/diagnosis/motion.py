@@ -64,9 +64,9 @@ class _Phase:
     def approach(self, width: float, range_: tuple[float, float]) -> Trajectory:
         """The motion from `low` to a point at least _WIDTHS `width` away and back, so that a backlash of `width`, unit
         of q, is driven through in both directions. range_: of the motor, which it does not leave."""
-        there = self.low + _WIDTHS * width
-        there = there if there <= range_[1] else max(range_[0], self.low - _WIDTHS * width)
-        return self._strokes_through([self.low, there, self.low], rest_s=0.0)
+        far_end = self.low + _WIDTHS * width
+        far_end = far_end if far_end <= range_[1] else max(range_[0], self.low - _WIDTHS * width)
+        return self._strokes_through([self.low, far_end, self.low], rest_s=0.0)
 
     def move_from(self, q: float) -> Trajectory:
         """The motion from the position q, the rig's unit, to `low` at the phase's speed, without a rest; empty where q
@@ -107,31 +107,32 @@ def _plan(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
     weight = _PERIOD_S * (len(last.arrival_s) - 1) / float(np.ptp(last.arrival_s))
     outlook = Outlook(fitter, rivals, segments, weight)
     chosen: list[int] = []
-    told, seconds = 0.0, 0.0
+    information, seconds = 0.0, 0.0
     parts: list[Trajectory] = []
     while True:
         others = [i for i in range(len(phases)) if i not in chosen]
-        at = phases[chosen[-1]].low if chosen else None
-        ways = {
-            i: phases[i].move_from(at) if at is not None else phases[i].approach(width, actuator.range) for i in others
+        position = phases[chosen[-1]].low if chosen else None
+        transfers = {
+            i: phases[i].move_from(position) if position is not None else phases[i].approach(width, actuator.range)
+            for i in others
         }
-        takes = {i: ways[i].duration_s + phases[i].strokes.duration_s for i in others}
-        adds = {
-            i: outlook.expected([*chosen, i], seconds + took) - told
-            for i, took in takes.items()
-            if not chosen or seconds + took <= _LONGEST_S
+        durations_s = {i: transfers[i].duration_s + phases[i].strokes.duration_s for i in others}
+        gains = {
+            i: outlook.expected([*chosen, i], seconds + duration_s) - information
+            for i, duration_s in durations_s.items()
+            if not chosen or seconds + duration_s <= _LONGEST_S
         }
-        i = max(adds, key=lambda i: adds[i] / takes[i], default=None)
-        if i is None or (seconds >= _SHORTEST_S and adds[i] < _NO_MORE):
+        i = max(gains, key=lambda i: gains[i] / durations_s[i], default=None)
+        if i is None or (seconds >= _SHORTEST_S and gains[i] < _NO_MORE):
             break
         chosen.append(i)
-        parts += [ways[i], phases[i].strokes]
-        told, seconds = told + adds[i], seconds + takes[i]
+        parts += [transfers[i], phases[i].strokes]
+        information, seconds = information + gains[i], seconds + durations_s[i]
     motion = trajectory.in_turn(*parts)
     if sway:
         motion = motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S)
     why = _phases_in_words([phases[i] for i in chosen], actuator.unit) + (" while the other axes sway" if sway else "")
-    return NextMotion(why, motion, told, rivals.entropy)
+    return NextMotion(why, motion, information, rivals.entropy)
 
 
 def _phases_in_words(phases: Sequence[_Phase], unit: str) -> str:
@@ -153,9 +154,10 @@ def _moves_other_axes(motor: Motor) -> bool:
 
 
 def _phases(fitter: Fitter) -> list[_Phase]:
-    """Phases to choose from, spread evenly over place, the logarithms of amplitude and speed, and the root of the rest:
-    within the rig's range where the recordings have been, and no faster than they were. They are the second `count`
-    points of Sobol's sequence, as even as the first but without its origin, the shortest and slowest phase."""
+    """Phases to choose from. They are spread evenly over place, the logs of amplitude and speed, and the root of the
+    rest; within the rig's range where the recordings have been, and no faster than they were. They are the second
+    `count` points of Sobol's sequence: as even as the first, but without its origin, which is the shortest and slowest
+    phase."""
     actuator = fitter.model.rig.actuator
     span = actuator.span
     low = max(actuator.range[0], min(float(s.motor.q.min()) for s in fitter.segments))
@@ -183,9 +185,9 @@ def _planned_segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) ->
     if sway:
         motion = motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S)
     # The last point as well: a motor rests there.
-    at = np.union1d(np.arange(0, len(motion.t_s), _KNOTS), len(motion.t_s) - 1)
-    translation, rotation = (None if x is None else x[at] for x in (motion.translation_mm, motion.rotation_deg))
-    motor = Motor(motion.t_s[at], motion.q[at], None, translation, rotation)
+    knots = np.union1d(np.arange(0, len(motion.t_s), _KNOTS), len(motion.t_s) - 1)
+    translation, rotation = (None if x is None else x[knots] for x in (motion.translation_mm, motion.rotation_deg))
+    motor = Motor(motion.t_s[knots], motion.q[knots], None, translation, rotation)
     scene = np.arange(approach.duration_s, motion.duration_s, _PERIOD_S)
     return replace(
         last,

@@ -22,7 +22,7 @@ _LEAST_SHARE = 0.05  # format: of the largest share: a part with less is not lis
 
 @dataclass(frozen=True)
 class Moved:
-    """A part of the nominal model that had to move."""
+    """A part of the nominal model that a recalibration had to change."""
 
     id: str  # one of fit.PARTS
     share: float  # of what the recalibration closes, 0 to 1
@@ -79,8 +79,9 @@ def of_named(shrinks: Sequence[tuple[str, float]]) -> list[Moved]:
 
 
 def _shapley_shares(parts: Sequence[str], worth: Callable[[frozenset[str]], float]) -> list[Moved]:
-    """The parts with their Shapley shares, the largest first, without those below _LEAST_SHARE of the largest. worth:
-    share of the gap that a set of parts closes."""
+    """The parts with their Shapley shares of the gap, the largest first; parts below _LEAST_SHARE of the largest are
+    left out, and the shares of the others sum to 1. worth: maps a set of parts to the share of the gap that it
+    closes."""
     added = [max(share, 0.0) for share in shares(parts, worth)]
     listed = [(part, share) for part, share in zip(parts, added, strict=True) if share > _LEAST_SHARE * max(added)]
     return sorted(of_named(listed), key=lambda m: -m.share)

@@ -204,7 +204,7 @@ def percent(share: float) -> str:
 
 
 def _interval_in_percent(interval: Sequence[float]) -> str:
-    """An interval of shares as "12 to 34 %"."""
+    """An interval (low, high) of shares, 0 to 1, as "12 to 34 %"."""
     low, high = interval
     return f"{round(100 * low)} to {percent(high)}"
 
@@ -461,5 +461,5 @@ def _is_small(document: Mapping[str, Any]) -> bool:
 
 
 def _capitalised(sentence: str) -> str:
-    """The sentence with its first letter in upper case."""
+    """The sentence with its first letter in upper case; the rest stays as it is."""
     return sentence[:1].upper() + sentence[1:]

@@ -213,7 +213,7 @@ def _condition_figure(
 ) -> Figure:
     """Draws the residual over one axis: rms (area), mean of each coordinate (lines), and rms after the correction (red)
     if `after`, the same condition then, is given. unit: of q; top: upper end of the vertical axis, px or deg."""
-    made, axes = figures.figure(3.5, 2.2)
+    figure, axes = figures.figure(3.5, 2.2)
     ax: Axes = axes[0, 0]
     floor = diagnosis.document["noise_floor"]
     x, rms = condition.centres, _rms(condition)
@@ -241,28 +241,28 @@ def _condition_figure(
     low = min(0.0, float(condition.mean.min()))
     ax.set_ylim(_MARGIN * low, _MARGIN * top)
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
-    return made
+    return figure
 
 
 @mpl.rc_context(figures.STYLE)
 def residuals(diagnosis: Diagnosis) -> Figure:
     """Draws the rms residual of each scored observation, px or deg, over the session's time, s, by the calibrated model
     and, if effects are named, by the corrected one."""
-    made, axes = figures.figure(10.5, 2.8)
+    figure, axes = figures.figure(10.5, 2.8)
     ax = axes[0, 0]
     named = diagnosis.document["verdict"] == "effect"
     series = [(diagnosis.before, figures.GREY, "calibrated model")]
     if named:
         series.append((diagnosis.after, figures.MODEL, "corrected"))
     tests = diagnosis.segments[1:]
-    every = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
+    stride = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
     for values, colour, label in series:
         for i, (segment, residual) in enumerate(zip(tests, values, strict=True)):
             t = segment.session_s[segment.scored]
             size = np.sqrt(np.mean(residual**2, axis=1))
             ax.plot(
-                t[::every],
-                size[::every],
+                t[::stride],
+                size[::stride],
                 ".",
                 markersize=2.5,
                 color=colour,
@@ -290,4 +290,4 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     ends = [segment.motor.t_s[[0, -1]] + segment.offset_s for segment in tests]
     ax.set_xlim(float(np.min(ends)), float(np.max(ends)))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4)
-    return made
+    return figure

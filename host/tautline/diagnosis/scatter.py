@@ -55,7 +55,7 @@ _SECONDS, _JUMP_SIZES, _LENGTHS = 41, 61, 31  # tolerance: members of each famil
 
 @dataclass(frozen=True)
 class Scatter:
-    """How well each explanation predicts the residuals of a fit."""
+    """How well each explanation predicts the residuals of a fit, block by block."""
 
     # By explanation (the events' ids, RIVALS, _AS_IT_IS): (blocks,) -2 mean log-likelihood per coordinate, less a
     # constant, so that a Gaussian of variance v gives log v; 0 of blocks in which no frame counts.
@@ -76,7 +76,8 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Frames:
-    """The n frames of a recording that count: scored, with _REMEMBERED predecessors of which none was lost."""
+    """The n frames of a recording that count: those that are scored and whose _REMEMBERED predecessors arrived without
+    a gap."""
 
     residual: Array  # (n, k) observed less predicted, px or deg
     moved: Array  # (n, k) observed, from the frame before
@@ -261,8 +262,8 @@ class _Joined:
         for number in np.unique(self._recording):
             for part in (self._moving & (self._recording == number), ~self._moving & (self._recording == number)):
                 if part.any():
-                    here = squares[part] / self.coordinates
-                    clipped = np.minimum(here, np.quantile(here, _OUTLIERS))
+                    powers = squares[part] / self.coordinates
+                    clipped = np.minimum(powers, np.quantile(powers, _OUTLIERS))
                     variance[part] = max(float(np.mean(clipped)), self._floor2)
         return self._with_broad(_isotropic_log_density(squares, variance, self.coordinates))
 
@@ -278,24 +279,28 @@ class _Joined:
         blocks, of the calibration or of the tests as the frame itself. It is linear between _PLACES places, and drawn
         to 0 by a prior as wide as all residuals."""
         low, high = float(self._place.min()), float(self._place.max())
-        at = (self._place - low) / max(high - low, 1e-12) * (_PLACES - 1)
-        left = np.clip(at.astype(int), 0, _PLACES - 2)
-        share = at - left
+        position = (self._place - low) / max(high - low, 1e-12) * (_PLACES - 1)
+        left = np.clip(position.astype(int), 0, _PLACES - 2)
+        share = position - left
         ridge = max(self._floor2 / max(float(np.mean(self.residual**2)), self._floor2), _RIDGE)
-        told: Array = np.zeros_like(self.residual)
+        result: Array = np.zeros_like(self.residual)
         for way, calibration in product((-1.0, 1.0), (False, True)):
-            here = np.flatnonzero((self._way == way) & (self._calibration == calibration))
-            blocks = {int(number): here[self.block[here] == number] for number in np.unique(self.block[here])}
+            frames_of_part = np.flatnonzero((self._way == way) & (self._calibration == calibration))
+            blocks = {
+                int(number): frames_of_part[self.block[frames_of_part] == number]
+                for number in np.unique(self.block[frames_of_part])
+            }
             normals = {
-                number: _normal_of_lines(left[of], share[of], self.residual[of]) for number, of in blocks.items()
+                number: _normal_of_lines(left[rows], share[rows], self.residual[rows])
+                for number, rows in blocks.items()
             }
             of_all = sum(normals.values(), np.zeros((_PLACES, 2 + self.coordinates)))
-            for number, of in blocks.items():
+            for number, rows in blocks.items():
                 others = of_all - normals[number]
                 bands = np.stack([np.append(0.0, others[:-1, 1]), others[:, 0] + ridge])
                 curve = solveh_banded(bands, others[:, 2:])
-                told[of] = (1.0 - share[of, None]) * curve[left[of]] + share[of, None] * curve[left[of] + 1]
-        return told
+                result[rows] = (1.0 - share[rows, None]) * curve[left[rows]] + share[rows, None] * curve[left[rows] + 1]
+        return result
 
     def jitter(self, seconds: float) -> Array:
         """(n,) Log-density if frame times scatter with a standard deviation of `seconds`: the variance of the residual
@@ -336,7 +341,7 @@ class _Joined:
 
     @property
     def waits_deviation_s(self) -> float:
-        """Standard deviation, s, of how long frames waited by their times of arrival."""
+        """Standard deviation, s, of the times that the frames waited, as their times of arrival tell (`waits_s`)."""
         return float(np.std(self._waited_s))
 
     @cached_property
@@ -361,10 +366,12 @@ class _Joined:
         over the faster half of the moving frames, as in the others noise dominates that ratio; 0 where none moves."""
         part = np.zeros(len(along))
         for number in np.unique(self._recording):
-            of = self._recording == number
-            fast = of & (scale > 0.0)
+            in_recording = self._recording == number
+            fast = in_recording & (scale > 0.0)
             fast &= scale >= np.median(scale[fast]) if fast.any() else False
-            part[of] = scale[of] * (float(np.median(along[fast] / scale[fast])) if fast.any() else 0.0)
+            part[in_recording] = scale[in_recording] * (
+                float(np.median(along[fast] / scale[fast])) if fast.any() else 0.0
+            )
         return part
 
     def blur(self, seconds: float) -> Array:

@@ -40,7 +40,7 @@ _STEEPEST = 0.1  # limit: least dq/dp that an encoder's error is divided by
 
 @dataclass(frozen=True)
 class Screened:
-    """An effect's linear score, and values from which to fit it in full."""
+    """The linear score of an effect in one scope, and values from which to start a full fit of it."""
 
     gain: float  # share of the residual's sum of squares that the effect would explain
     kind: Kind
@@ -349,7 +349,7 @@ class _Scan:
         else:
             width = _NEAR_STEPS * _SHIFT_STEP_S
             close = [np.any([np.abs(t - rough) <= width for rough in near], axis=0) for t in times]
-            edges = np.unique(np.concatenate([t[here] for t, here in zip(times, close, strict=True)]))
+            edges = np.unique(np.concatenate([t[is_close] for t, is_close in zip(times, close, strict=True)]))
         edges = np.array([e for e in edges if any(a + _WITHIN_S <= e <= b - _WITHIN_S for a, b in ends)])
         if not near:
             return edges, itertools.repeat(range(len(edges)))
@@ -423,7 +423,8 @@ def _starting_shapes(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, fl
     unit}."""
 
     def values(parameter: Parameter) -> list[float]:
-        """Starting values of one shape parameter: quantiles of the reached angles, or the effect's own list."""
+        """Starting values of one shape: quantiles of the angles that the recordings reach, deg, if it is such an angle
+        (`Parameter.reached`), else the parameter's own list."""
         if parameter.reached:
             c = np.concatenate([s.follow(base.state.model, {}, 0.0).c_deg for s in fitter.segments])
             return [float(v) for v in np.quantile(c, _ANGLES)]

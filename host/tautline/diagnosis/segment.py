@@ -53,7 +53,7 @@ class Segment:
 
     @property
     def end_s(self) -> float:
-        """When the recording ends, s on the session's clock."""
+        """The time at which the recording ends, s on the session's clock."""
         return float(self.motor.t_s[-1]) + self.offset_s
 
     @property
@@ -88,8 +88,8 @@ class Segment:
             self.drive.ask(parameters)
 
     def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
-        """The simulated path of the tip at the observations' scene times (arrival less the sensor's delay). parameters:
-        of the effects, by name; those of a user's simulator as changes from its nominal values. load_reference: mNm at
+        """Simulates the path of the tip at the observations' scene times (arrival less the sensor's delay). parameters:
+        of the effects, by name; those of a user's simulator are changes from its nominal values. load_reference: mNm at
         which the model's tables hold."""
         scene = self.arrival_s - model.delay_of(self.sensor)
         motor = self.motor if self.drive is None else self.drive.motor(parameters)
@@ -117,7 +117,8 @@ class Segment:
         return replace(self, **few, motor=motor, repeats=self.held[kept])
 
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
-        """The same recording, scored only where `keep` (n,) is true."""
+        """The same recording; only observations that were scored already and for which `keep` (n,) is true stay
+        scored."""
         return replace(self, scored=self.scored & keep)
 
 
@@ -129,7 +130,8 @@ def with_noise(simulated: Segment, noise: float) -> Segment:
 
 
 def load_reference(calibration: Recording) -> float:
-    """The load, mNm, at which a model calibrated on this recording holds: its median, 0 where none was recorded."""
+    """The load, mNm, at which a model calibrated on this recording holds: the recording's median load, 0 where none was
+    recorded."""
     load = calibration.motor.load_mNm
     return 0.0 if load is None else float(np.median(load))
 

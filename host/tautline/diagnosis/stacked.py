@@ -106,7 +106,7 @@ class Stacked:
     """Arrays over the hypotheses and blocks of one case. The first hypothesis is without any effect."""
 
     def __init__(self, evidence: CaseEvidence) -> None:
-        """Reads all arrays out of the evidence of a case."""
+        """Computes all arrays from the evidence of a case. Powers below the noise's, floor^2, count as that."""
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
@@ -243,10 +243,10 @@ class Stacked:
         by_event, without = (np.maximum(left, least) for left in (self.by_event, self.without_event))
         gained = np.zeros(len(self.scatters))
         for i in np.flatnonzero(self.scatters):
-            here = self.in_sight[i]
-            of_all = np.sum(without[:, here], axis=1)
-            same = ~self.scatters | (self.in_sight == here).all(axis=1)
-            gained[i] = float(np.min(of_all[same])) - float(np.sum(by_event[i, here]))
+            counts = self.in_sight[i]
+            of_all = np.sum(without[:, counts], axis=1)
+            comparable = ~self.scatters | (self.in_sight == counts).all(axis=1)
+            gained[i] = float(np.min(of_all[comparable])) - float(np.sum(by_event[i, counts]))
         return gained
 
     def log_likelihood(
@@ -296,8 +296,10 @@ class Stacked:
         """(hypotheses, SHARES) Log-likelihood of all blocks' powers if a hypothesis' effects leave each of SHARES of
         the gap's power, `before`. tells, freedom, excess: the hyperparameters noise_tells, block_freedom and
         calibration_excess."""
-        every = np.arange(len(self.sets))
-        return self._log_likelihood_of_shares(every, np.tile(self.before, (len(every), 1)), tells, freedom, excess)
+        all_hypotheses = np.arange(len(self.sets))
+        return self._log_likelihood_of_shares(
+            all_hypotheses, np.tile(self.before, (len(all_hypotheses), 1)), tells, freedom, excess
+        )
 
     def _log_likelihood_by_right_share(self, tells: float, freedom: float, excess: float) -> Array:
         """(hypotheses, SHARES) As `_log_likelihood_by_share`, but of shares of the power `inexact`."""
@@ -309,14 +311,14 @@ class Stacked:
         return by_share
 
     def _log_likelihood_of_shares(
-        self, of: npt.NDArray[np.int64], power: Array, tells: float, freedom: float, excess: float
+        self, indices: npt.NDArray[np.int64], power: Array, tells: float, freedom: float, excess: float
     ) -> Array:
-        """(n, SHARES) Log-likelihood of all blocks' powers if each of n hypotheses, with the indices `of`, leaves each
+        """(n, SHARES) Log-likelihood of all blocks' powers if each of n hypotheses, with these indices (n,), leaves each
         of SHARES of `power` (n, blocks)."""
-        own_misfit = self._own_misfit_of[of, None]
+        own_misfit = self._own_misfit_of[indices, None]
         return np.stack(
             [
-                self.log_likelihood(self.power[of], share * power, excess, own_misfit, tells, freedom)
+                self.log_likelihood(self.power[indices], share * power, excess, own_misfit, tells, freedom)
                 for share in SHARES
             ],
             axis=1,

@@ -34,7 +34,7 @@ _SURE = 2.0  # loss: rms of B's finest details over its standard deviation; wher
 
 @dataclass(frozen=True)
 class Start:
-    """The hypotheses of effects from the start, and the verdict on them."""
+    """The fitted hypotheses of effects that were there from the start, and the verdict on them."""
 
     fitter: Fitter
     gathered: Gathered
@@ -99,17 +99,17 @@ def of_segments(
     hold. tracked: the tracker's error in videos, which is taken off the segments already. left_out: ids of effects not
     to try. The noise floor is set twice: first by what the model leaves as it is, to weigh the recalibration, then by
     what the recalibrated model leaves."""
-    alike = [replace(segment, calibration=True) for segment in segments]
-    fitter = Fitter(model, alike, load_mNm, smooth=True)
+    as_calibration = [replace(segment, calibration=True) for segment in segments]
+    fitter = Fitter(model, as_calibration, load_mNm, smooth=True)
     moving = tracked.noise if tracked else 0.0
     if tracked:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
-    fitter.floor = max(gap.noise_floor(alike, fitter.residuals(fitter.start(), fitter.no_effect)), moving)
+    fitter.floor = max(gap.noise_floor(as_calibration, fitter.residuals(fitter.start(), fitter.no_effect)), moving)
     base = fitter.recalibrated()
-    noise = gap.noise_floor(alike, base.residuals, fitter.across(base), fitter.relative_noise)
+    noise = gap.noise_floor(as_calibration, base.residuals, fitter.across(base), fitter.relative_noise)
     fitter.floor = max(noise, moving)
     kinds = [kind for kind in applicable(fitter, left_out) if kind.id in NAMES]
-    hidden = confounded.drift_hidden_by_load(kinds, alike)
+    hidden = confounded.drift_hidden_by_load(kinds, as_calibration)
     kinds = [kind for kind in kinds if kind.id not in hidden]
     gathered = gather(fitter, base.residuals, base, kinds, progress, (Scope.START,))
     return Start(fitter, gathered, decide.decide(gathered.evidence))

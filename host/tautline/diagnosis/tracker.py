@@ -48,7 +48,7 @@ class TrackerError:
     left_out: float  # share of the frames that are not scored as their place is wrong
 
     def to_json(self) -> dict[str, float]:
-        """The object `tracker` of diagnosis.json."""
+        """The object `tracker` of diagnosis.json; it has only the noise and the share of frames that are left out."""
         return {"noise": self.noise, "left_out": self.left_out}
 
 
@@ -118,7 +118,7 @@ def _spread_of_log_power(residual: Array, block: npt.NDArray[np.int64]) -> float
 
 @dataclass(frozen=True)
 class _View:
-    """A recording's n frames in coordinates along and across the marker's path, px."""
+    """The n frames of a recording in coordinates along and across the marker's path, px."""
 
     at: npt.NDArray[np.intp]  # (n,) index of the path's point that is nearest to the observed marker
     seen: Array  # (n,) length along the path to that point
@@ -150,7 +150,7 @@ class _Path:
         """The frames of a recording in coordinates along and across the path, each relative to the nearest point of the
         path. observed, predicted: marker, (n, 2) px."""
         tree = KDTree(self.point)
-        at, expected = (np.asarray(tree.query(where)[1], dtype=np.intp) for where in (observed, predicted))
+        at, expected = (np.asarray(tree.query(positions)[1], dtype=np.intp) for positions in (observed, predicted))
         normal = self.normal[at]
         tangent = np.column_stack([normal[:, 1], -normal[:, 0]])  # as c rises
         across = np.sum((observed - self.point[at]) * normal, axis=1)
@@ -180,9 +180,9 @@ def _medians_by_place(view: _View, scored: Mask, place: npt.NDArray[np.intp], kn
     one direction), px; NaN for places that are not `known`. place (n,): index of each frame's place."""
     across, scatter = np.full((2, len(known)), np.nan)
     for k in np.flatnonzero(known):
-        here = scored & (place == k)
-        across[k], along = np.median(view.across[here]), np.median(view.along[here])
-        off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along)
+        at_place = scored & (place == k)
+        across[k], along = np.median(view.across[at_place]), np.median(view.along[at_place])
+        off = np.abs(view.across[at_place] - across[k]) + np.abs(view.along[at_place] - along)
         scatter[k] = 0.5 * spread.deviation(off)  # of one direction: `off` adds two
     return across, scatter
 

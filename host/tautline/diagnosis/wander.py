@@ -127,8 +127,8 @@ def axes_values(courses: Sequence[Course]) -> dict[str, list[Array]]:
 def _scaled_to_unit(values: Sequence[Array]) -> list[Array]:
     """The values of each recording, scaled linearly so that all recordings together span -1 to 1; all -1 where they do
     not vary."""
-    every = np.concatenate(values)
-    low, high = float(every.min()), float(every.max())
+    all_values = np.concatenate(values)
+    low, high = float(all_values.min()), float(all_values.max())
     return [2.0 * (v - low) / max(high - low, 1e-300) - 1.0 for v in values]
 
 

@@ -44,7 +44,7 @@ class Condition:
     power: Array  # (bins,) mean over observations of the squared residual, summed over its coordinates
 
     def to_json(self) -> dict[str, Any]:
-        """An entry of the list `where.conditions` of diagnosis.json."""
+        """The condition as an entry of the list `where.conditions` of diagnosis.json; without its curves."""
         return {"axis": self.axis, "share": self.share, "range": list(self.range), "says": self.says}
 
 

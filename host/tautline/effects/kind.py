@@ -30,8 +30,8 @@ Holds = Callable[[Model, Mapping[str, float], float], Model]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an effect. A parameter whose unit begins with "unit" is in the actuator's unit; its `scale`, `shape`,
-    `low` and `high` are then shares of the motor's range."""
+    """One number of an effect. If its unit begins with "unit" it is in the actuator's unit (that of q), and its
+    `scale`, `shape`, `low` and `high` are shares of the motor's range."""
 
     name: str
     unit: str
@@ -51,11 +51,12 @@ class Parameter:
         return span if self.unit.startswith("unit") else 1.0
 
     def limits(self, span: float) -> tuple[float, float]:
-        """The range in which a value means something, in the parameter's own unit. span: of the motor, unit of q."""
+        """(Low, high): the range in which a value is meaningful, in the parameter's own unit. span: the motor's range,
+        unit of q."""
         return self.low * self.share(span), self.high * self.share(span)
 
     def inside(self, value: float, span: float) -> float:
-        """The value clipped to its `limits`. span: of the motor, unit of q."""
+        """The value, in the parameter's own unit, clipped to `limits`. span: the motor's range, unit of q."""
         low, high = self.limits(span)
         return min(max(value, low), high)
 
@@ -200,16 +201,16 @@ class Kind:
 
 
 def rigid_motion(prefix: str) -> tuple[Parameter, ...]:
-    """The six parameters of a rigid motion: PREFIX_rx, _ry, _rz, a turn as a rotation vector in deg, then PREFIX_x, _y,
-    _z, a move in mm, each with the change that a user would notice."""
+    """Makes the six parameters of a rigid motion: PREFIX_rx, _ry, _rz, a turn as a rotation vector, deg, then PREFIX_x,
+    _y, _z, a move, mm."""
     turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", _TURN_DEG) for axis in "xyz")
     move = tuple(Parameter(f"{prefix}_{axis}", "mm", _MOVE_MM) for axis in "xyz")
     return turn + move
 
 
 def simulator_id(parameter: str) -> str:
-    """The id of the effect that a simulator's declared `parameter` is another on the robot; its only parameter has the
-    same name."""
+    """The id "simulator.NAME" of the effect that a simulator's declared `parameter` has another value on the robot. The
+    effect's only parameter has the same id as its name."""
     return f"{SIMULATOR}.{parameter}"
 
 

@@ -253,8 +253,8 @@ def see(
 def image_with_slopes(
     model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """(The image (n, 2) px; d image / dc (n, 2) px per deg; d image / d a further static registration (n, 2, 6): px per
-    deg of its turn about x, y, z, then per mm of its move)."""
+    """(The image (n, 2), px; its derivative by the bending angle c (n, 2), px per deg; its derivatives by a further
+    static registration (n, 2, 6), px per deg of its turn about x, y, z, then px per mm of its move along them)."""
     return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
 
 

@@ -38,5 +38,5 @@ class RangeSpline:
         return dict(zip(self.names, self._basis(model).between(model.q, p).T, strict=True))
 
     def _basis(self, model: Model) -> Basis:
-        """The spline's basis, its pieces spread evenly over the motor's range."""
+        """The basis of this spline, with its pieces evenly spread over the motor's range."""
         return Basis(*model.rig.actuator.range, self.pieces)
