@@ -33,7 +33,7 @@ _SMALL_START = 0.1  # tolerance: share of an event's amount from which a fit of 
 _CURVE_PARAMETERS = 3  # prior: effective parameters of a smooth curve: level, slope, curvature
 _NOISE_LIMIT = 4.0  # tolerance: noise floors to which residuals that should be noise are cut: a lost marker is none
 # Prior odds and the price of twelve parameters differ by 25 nats at most.
-_HOPELESS = 40.0  # tolerance: nats: a first fit that is so much less likely than another is not finished
+_HOPELESS = 40.0  # tolerance: nats: a first fit that is less likely than another by more is not finished
 _OUTLIER_LIMIT = 8.0  # tolerance: noise floors below which a residual is never cut
 
 
@@ -229,14 +229,14 @@ class Search:
         linear step tells little, and those with `Kind.each` in every scope. screened: {id: {scope: entry}}, the largest
         score first."""
         leading = list(screened)[:refits]
-        # What a flexible effect contains takes its place where it suffices, so it has to be there.
+        # A simple effect takes the place of a flexible one that contains it, where it suffices: it has to be fitted too.
         contains = {kind.id: kind.contains for kind in self._with_path}
         leading += [contained for name in leading for contained in contains[name]]
         tried: list[Screened] = []
         for name, by_scope in screened.items():
             best, *others = by_scope.values()
-            # A linear step tells little of parts of the nominal model, as the recalibrated one has moved half way
-            # towards them, and of a simulator's parameters, in which the simulation need not be linear.
+            # A linear step tells little of the nominal model's parts, as the recalibration has moved them half way
+            # already, and of a simulator's parameters, in which the simulation need not be linear.
             step_tells_little = best.kind.nominal or best.kind.stage == SIMULATOR
             if name in leading or (thorough and step_tells_little):
                 tried.append(best)

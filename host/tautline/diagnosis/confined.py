@@ -133,7 +133,7 @@ def _channel_columns(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
         index = np.arange(len(p))
         direction = np.sign(np.diff(p, prepend=p[0]))
         last_moving = np.maximum.accumulate(np.where(direction != 0, index, 0))
-        direction = direction[last_moving]  # at rest that of the motion before
+        direction = direction[last_moving]  # at rest the direction of the motion before
         # The first sample of each motion; the tip turned at the one before it.
         reversal = np.maximum.accumulate(np.where(np.diff(direction, prepend=direction[0]) != 0, index, 0))
         travel = np.abs(p - p[np.maximum(reversal - 1, 0)]) / fitter.model.rig.actuator.span

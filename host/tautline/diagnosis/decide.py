@@ -21,7 +21,7 @@ from tautline.diagnosis.stacked import Stacked, brought_parts, log_sum
 Array = npt.NDArray[np.float64]
 
 FURTHER = 2.0 / 3.0  # loss: probability of a further effect from which it is named: a wrong one costs two missed ones
-_LARGEST_GROUP = 3  # format: effects at most of which one is said to be there
+_LARGEST_GROUP = 3  # format: most effects of a group of which one is said to be there
 MOVED = 0.2  # loss: share of what a recalibration closes, from which a part of the nominal model is named
 CLEARLY = 10.0  # loss: likelihood ratio, wrong effect's over right one's, from which an amplitude is said to vary
 

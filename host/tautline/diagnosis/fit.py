@@ -102,7 +102,7 @@ class Unknowns:
     follow_details: int  # the factor on the details of f_remain
     static: slice  # the registration, in the order of STATIC_NAMES; empty without a camera
     delay: int  # s
-    effects: int  # the first of the effects' parameters, which are `Hypothesis.slots` in their order
+    effects: int  # index of the effects' first parameter; they are in the order of `Hypothesis.slots`
 
     @classmethod
     def of(cls, curves: Nominal, static: int) -> Unknowns:
@@ -140,7 +140,7 @@ class Fitter:
             np.full(curves.follow.size, _ANGLE_PRIOR * gain * span),
             np.full(2, _DETAIL_PRIOR),
         ]
-        # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
+        # The details that the splines cannot follow: an effect that was there while calibrating left its ripple in them.
         self._details = tuple(
             spline_residual(basis, model.q, values)
             for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
@@ -381,7 +381,7 @@ class Fitter:
         that it is as smooth as what is added to B and f_remain. coefficient: any of them, for its unit (that of q, or
         deg)."""
         actuator = self.model.rig.actuator
-        # Second differences of the same curve go with the square of the knots' distance.
+        # Second differences of the same curve are proportional to the square of the knots' distance.
         deviation = _ROUGH * actuator.span * (_FOLLOW_PIECES / (size - 3)) ** 2
         by_unit = 1.0 if coefficient.unit == "unit" else abs(self.model.rig.coarse.gain)
         return np.asarray(Basis(*actuator.range, size - 3).bending / (deviation * by_unit) ** 2)
@@ -567,7 +567,7 @@ class _Descent:
         """small_gain: share of the cost; a step that lowers it by less ends the descent. held: indices of unknowns, in
         the order of this module's docstring, that stay fixed."""
         self.fitter, self.hypothesis, self.small_gain, self.held = fitter, hypothesis, small_gain, held
-        # Times the noise's power: the cost is in squares of px or deg.
+        # Multiplied by the noise's power, as the cost is in px^2 or deg^2.
         self.prior_precision = fitter.floor**2 * fitter.prior_precision(hypothesis)
         self.curve_precision = fitter.floor**2 * fitter.curve_precision(hypothesis)
         self.limits: list[float] = []  # of each recording, px or deg, at the last linearisation

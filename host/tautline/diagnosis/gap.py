@@ -83,7 +83,9 @@ def relative_noise(segments: Sequence[Segment], across: Sequence[Array] | None) 
     count = np.array([len(each) for each in across]) / _OF_SECOND_DIFFERENCES  # white samples that tell as much
     least = samples.least_noise(segments[0].unit)
     power = np.array([max(second_difference_noise([each]), least) ** 2 for each in across])
-    gain = float(count @ np.log(count @ power / count.sum() / power))  # of twice the log likelihood
+    # Twice the gain in log likelihood by a noise for each recording: sum of n log(pooled power / own power). Schwarz:
+    # each of the additional noises costs the log of the number of samples.
+    gain = float(count @ np.log(count @ power / count.sum() / power))
     if gain < (len(segments) - 1) * np.log(count.sum()):
         return [1.0] * len(segments)
     of_tests = np.mean([p for p, segment in zip(power, segments, strict=True) if not segment.calibration] or power)
@@ -126,6 +128,7 @@ def _noise_series(
         for stretch in still_stretches(segment)
         if stretch.stop - stretch.start >= _FEWEST_FRAMES
     ]
+    # A straight line costs two degrees of freedom of each coordinate.
     if sum(rest.size - 2 * rest.shape[1] for rest in rests) >= _ENOUGH:
         return _without_outliers(rests), 1
     pieces = [

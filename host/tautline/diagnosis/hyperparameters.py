@@ -24,13 +24,13 @@ _LARGEST_SHARE = 0.99  # limit: of a share or probability that is learnt by its 
 class Hyperparameters:
     """The numbers that a verdict depends on. All are positive, and they are learnt as logarithms."""
 
-    noise_tells: float  # independent numbers in a block of noise: one of a misfit is known to 1/sqrt of it of the noise
+    noise_tells: float  # independent numbers in a block of noise; a block's misfit counts as one number beside them
     block_freedom: float  # degrees of freedom of a block's misfit: how much blocks' misfits differ
     unexplained: float  # share of the gap's power that a right effect may well leave
-    unexplained_by_law: float  # the same of an effect with one equation everywhere (rigid motion, time)
-    unexplained_by_wrong: float  # share from which on the best wrong effect may well leave any
+    unexplained_by_law: float  # share that an effect with one exact equation (rigid motion, time) may well leave
+    unexplained_by_wrong: float  # share at least that the best wrong effect leaves; any larger one is as likely
     mimics: float  # probability, for each parameter of a wrong effect, that it leaves no more than a right one
-    share_spread: float  # standard deviation of the logarithm of a share beyond these
+    share_spread: float  # standard deviation of the logarithm of a share beyond the shares above
     calibration_excess: float  # share of the noise power that a sound calibration leaves above it
     odds_none: float  # prior odds of no effect to one
     odds_unknown: float  # prior odds of an unknown cause to one effect
@@ -39,9 +39,9 @@ class Hyperparameters:
     odds_each: float  # prior odds of an effect with amplitudes of its own in each recording, to one that stays
     parameter_price: float  # multiple of the Bayesian information criterion's price of a parameter
     floor_known: float  # standard deviation of the logarithm of the noise's power between cases
-    floor_steady: float  # the same between the blocks of a case
+    floor_steady: float  # standard deviation of the logarithm of the noise's power between the blocks of a case
     wanders: float  # mean share by which the amplitude of a right effect of geometry or time varies
-    wanders_material: float  # the same of one of friction or material, of a simulator's parameter or a user's effect
+    wanders_material: float  # mean share for effects of friction or material, a simulator's parameters, users' effects
     disturbed: float  # share of blocks in which something happens that no model has, such as the moment of a shift
 
     def mimicked(self, parameters: Array | float) -> Array:

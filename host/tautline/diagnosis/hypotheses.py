@@ -61,10 +61,10 @@ class Weighed:
     ids: tuple[str, ...]  # of its effects in the order they were added; () is the nominal model alone
     power: Array  # (blocks,) held-out power, with how much each recording contradicts the others
     scatter: Array  # (blocks,) logarithm of the factor on the power by which an event explains scatter; 0 without one
-    rival: Array  # (blocks,) the same of the best explanation of the scatter that is no event
+    rival: Array  # (blocks,) logarithm of the factor of the best explanation of the scatter that is no event
     parameters: int  # effective number of parameters, for the information criterion
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
-    chance: float = 1.0  # of a law: probability that another effect leaves so much less by chance (exact.py)
+    chance: float = 1.0  # of a law: probability that noise alone makes another effect leave as much less (exact.py)
     wanders: tuple[Wander, ...] = ()  # of its effects that have a path
     each: bool = False  # whether an effect has amplitudes of its own in each recording
     from_start: bool = False  # whether an effect was there while calibrating

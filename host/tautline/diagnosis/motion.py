@@ -110,6 +110,7 @@ def _plan(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
     information, seconds = 0.0, 0.0
     parts: list[Trajectory] = []
     while True:
+        # Of each phase that is left: the motion to it, how long both last, and how many nats it would add.
         others = [i for i in range(len(phases)) if i not in chosen]
         position = phases[chosen[-1]].low if chosen else None
         transfers = {
@@ -168,6 +169,7 @@ def _phases(fitter: Fitter) -> list[_Phase]:
     count = _PHASES if all(s.drive is None for s in fitter.segments) else _OF_SIMULATOR
     phases = []
     for of_stroke, of_place, of_speed, of_rest in qmc.Sobol(4, scramble=False).random(2 * count)[count:]:
+        # Each number of the sequence, 0 to 1, places one property between its limits; stroke and speed geometrically.
         stroke = min(shortest * ((high - low) / shortest) ** of_stroke, _STROKE_S * fastest)
         speed = _SLOWEST * span * (fastest / (_SLOWEST * span)) ** of_speed
         from_ = low + of_place * (high - low - stroke)

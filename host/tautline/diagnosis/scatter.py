@@ -85,8 +85,8 @@ class Frames:
     waited_s: Array  # (n,) by what its time of arrival says of when it was taken (`waits_s`)
     driven: Array  # (n,) by how much the play's centre moved since the frame before, unit of q
     place: Array  # (n,) the play's centre, unit of q
-    way: Array  # (n,) the sign of its motion, at rest of the motion before; 0 until it moves
-    per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest that of the motion before
+    way: Array  # (n,) sign of the centre's motion, at rest that of the last motion; 0 until it moves
+    per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest as in the last motion
     image: Array  # (n, k) observed
     before: Array  # (n, k, _REMEMBERED) residuals of the frames before
     block: npt.NDArray[np.int64]  # (n,) the number of the block of manoeuvres
@@ -155,10 +155,10 @@ def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> 
         names = (JITTER, STICK_SLIP, _AS_IT_IS, *RIVALS)
         return Scatter({name: np.zeros(blocks) for name in names}, dict.fromkeys((JITTER, STICK_SLIP, HELD), 0.0))
     frames = _Joined(parts, floor)
-    # s in which a fast image moves as far as the noise
+    # The time, s, in which a fast image moves as far as one standard deviation of the noise.
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
     seconds = np.geomspace(min(_FINEST * finest_s, _FINEST * _LONGEST_S), _LONGEST_S, _SECONDS)
-    # Each with the part of its scatter that the times of arrival tell, s.
+    # Three kinds of jitter, each with the part of its scatter, s, that the times of arrival tell.
     jitters = (frames.jitter, 0.0), (frames.waiting, 0.0), (frames.stamped, frames.waits_deviation_s)
     of_each = [(frames.likeliest(kind, seconds), told_s) for kind, told_s in jitters]
     (jittered, beside_s), told_s = max(of_each, key=lambda one: _log_likelihood(one[0]))

@@ -400,6 +400,7 @@ class _HeldFromEdges:
         the frames after the later one."""
         edges = np.array([[*chosen, i] for i in tried])
         n, k = edges.shape
+        # (n, k, k): two columns overlap from the later of their edges on, whose sum is their product.
         later = np.maximum(edges[:, :, None], edges[:, None, :])
         of_effect = self._of_effect[later].transpose(0, 1, 3, 2, 4).reshape(n, k * self.count, k * self.count)
         cross = self._cross[edges].reshape(n, k * self.count, self.shared)

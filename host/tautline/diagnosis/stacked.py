@@ -110,12 +110,12 @@ class Stacked:
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
-        # A block with less power than the noise has had less noise, whatever the hypothesis.
+        # A power below the noise's tells of less noise in that block, not of the hypothesis: it counts as the noise's.
         self.frozen = np.maximum(evidence.frozen, self.floor2)  # (blocks,) left by the calibrated model as it is
         self.applicable = evidence.applicable
         # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
         # an effect was there while calibrating, that is what the effect left, and says nothing of the model.
-        self.calibrated = evidence.calibrated / self.floor2  # what the calibrated model leaves of it, over the floor's
+        self.calibrated = evidence.calibrated / self.floor2  # power left of the own calibration, over the floor's
         self.own_misfit = float(np.clip(self.calibrated, 1.0, INEXACT) - 1.0) * self.floor2
         self._own_misfit_of = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
         self.power = np.maximum([h.power for h in hypotheses], self.floor2)  # (hypotheses, blocks)
@@ -313,8 +313,8 @@ class Stacked:
     def _log_likelihood_of_shares(
         self, indices: npt.NDArray[np.int64], power: Array, tells: float, freedom: float, excess: float
     ) -> Array:
-        """(n, SHARES) Log-likelihood of all blocks' powers if each of n hypotheses, with these indices (n,), leaves each
-        of SHARES of `power` (n, blocks)."""
+        """(n, SHARES) Log-likelihood of all blocks' powers if each of n hypotheses, with these indices (n,), leaves
+        each of SHARES of `power` (n, blocks)."""
         own_misfit = self._own_misfit_of[indices, None]
         return np.stack(
             [

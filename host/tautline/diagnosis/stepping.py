@@ -42,7 +42,7 @@ def without_step_error(
     floor = gap.noise_floor(own.segments, own.left)
     least = float(np.sqrt(learnt().center.calibration_excess)) * floor
     half = _Shown.by(simulator.at_step(0.5 * simulator.step_s), robots, rig)
-    if 2.0 * own.apart(half) <= least:
+    if 2.0 * own.apart(half) <= least:  # half of the error lies between both: it is of first order in the step
         return simulator, None
     limit = _without_steps(simulator, simulator.step_s, robots, rig, least)
     if not _finer_is_likelier(limit.left, own.left, floor):

@@ -158,6 +158,7 @@ def varying_columns(
     at_ends: list[tuple[str, Array]] = []  # of each column its axis and its values at the ends
     for axis, values_of in axes.items():
         values = np.concatenate(values_of)
+        # The observations at the weighted quantiles _ENDS of the axis.
         ranked = np.argsort(values)
         ends = ranked[np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS))]
         for polynomial in _orthonormal_polynomials(values, weight, _ORDERS[axis]):

@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 # Names of parameters: of effects that move the tip in C; that change where it is seen; that are simulated by tables.
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)
-_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # descriptors of the latter
+_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # effects that are simulated by tables
 IN_TABLES = frozenset(p.name for kind in _TABLED for form in kind.forms for p in form.parameters)
 _TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)  # effects with a law in Python
 _BY_SIDE = tuple(p.name for p in BY_ID["registration.direction_dependent"].amplitudes)
