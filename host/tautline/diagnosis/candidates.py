@@ -229,7 +229,7 @@ class Search:
         linear step tells little, and those with `Kind.each` in every scope. screened: {id: {scope: entry}}, the largest
         score first."""
         leading = list(screened)[:refits]
-        # A simple effect takes the place of a flexible one that contains it, where it suffices: it has to be fitted too.
+        # A simple effect takes the place of a flexible one that contains it, where it suffices: it is fitted too.
         contains = {kind.id: kind.contains for kind in self._with_path}
         leading += [contained for name in leading for contained in contains[name]]
         tried: list[Screened] = []

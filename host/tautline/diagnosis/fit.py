@@ -140,7 +140,7 @@ class Fitter:
             np.full(curves.follow.size, _ANGLE_PRIOR * gain * span),
             np.full(2, _DETAIL_PRIOR),
         ]
-        # The details that the splines cannot follow: an effect that was there while calibrating left its ripple in them.
+        # The details that the splines cannot follow: an effect from the start left its ripple in them.
         self._details = tuple(
             spline_residual(basis, model.q, values)
             for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
