@@ -261,10 +261,8 @@ def test_what_another_motion_leaves_is_noise_and_as_much_more_as_others_left():
     beside = 0.5
     more = 1.0 + drawn * (1.0 - beside / before)
     expected = np.sqrt(floor**2 + np.mean((beside * more) ** 2))
-    assert gap.noise_of_unseen_motion(before, np.hypot(floor, beside), floor, apart) == pytest.approx(
-        expected, rel=5e-3
-    )
-    assert gap.noise_of_unseen_motion(before, floor, floor, apart) == pytest.approx(floor)
+    assert gap.unseen(before, np.hypot(floor, beside), floor, apart) == pytest.approx(expected, rel=5e-3)
+    assert gap.unseen(before, floor, floor, apart) == pytest.approx(floor)
 
 
 def test_of_a_robot_that_is_as_the_simulator_nothing_is_there(folder):

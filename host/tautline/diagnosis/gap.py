@@ -264,7 +264,7 @@ def _ratio_spread(ratio: float) -> float:
     return (ratio + _LEAST_LEFT) * max(1.0 - ratio, _LEAST_LEFT)
 
 
-def noise_of_unseen_motion(before: float, after: float, floor: float, excess: tuple[float, float]) -> float:
+def unseen(before: float, after: float, floor: float, excess: tuple[float, float]) -> float:
     """One standard deviation, px or deg, of a reading of an unseen motion about its corrected prediction: the sensor's
     noise is as before, and the misfit above it grows as it did on other unseen motions. before, after: rms before and
     after the correction; floor: of the noise; excess: 5 and 95 % quantiles as in `shrink_interval_elsewhere`, taken as

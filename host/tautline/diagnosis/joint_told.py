@@ -71,9 +71,9 @@ class Answer:
 
     def _noise_of_unseen(self) -> float:
         """One standard deviation of a reading of an unseen motion about the model's prediction, in the observations'
-        unit (`gap.noise_of_unseen_motion`)."""
+        unit (`gap.unseen`)."""
         before = gap.rms(self.joint.residuals(np.zeros(self.joint.size)))
-        return gap.noise_of_unseen_motion(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
+        return gap.unseen(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
 
     def _discrepancy(self) -> Discrepancy | None:
         """A Gaussian process, by place, speed and load, of the residuals of the plainer fit; its prior variance is by

@@ -72,7 +72,7 @@ def diagnose_simulator(
 def _corrected_with_noise(diagnosis: Diagnosis) -> Model:
     """The corrected model with its uncertainty's noise set, as no calibration has: one standard deviation of a reading
     about its prediction, px per coordinate or deg. It contains the sensor's noise and the misfit on held-out blocks,
-    enlarged as it is on unseen motions (`gap.noise_of_unseen_motion`, learnt().elsewhere)."""
+    enlarged as it is on unseen motions (`gap.unseen`, learnt().elsewhere)."""
     model, floor = diagnosis.corrected, diagnosis.document["noise_floor"]
-    noise = gap.noise_of_unseen_motion(gap.rms(diagnosis.before), gap.rms(diagnosis.after), floor, learnt().elsewhere)
+    noise = gap.unseen(gap.rms(diagnosis.before), gap.rms(diagnosis.after), floor, learnt().elsewhere)
     return replace(model, uncertainty=replace(model.uncertainty, noise=noise))
