@@ -138,7 +138,7 @@ def _channel_columns(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
         reversal = np.maximum.accumulate(np.where(np.diff(direction, prepend=direction[0]) != 0, index, 0))
         travel = np.abs(p - p[np.maximum(reversal - 1, 0)]) / fitter.model.rig.actuator.span
         settling = [np.exp(-travel / length) for length in _TRAVELS]
-        law = np.column_stack([np.ones(len(p)), direction, *(direction * s for s in settling)])[segment.scored]
+        law = np.column_stack([np.ones(len(p)), direction, *(direction * decay for decay in settling)])[segment.scored]
         motions = row.columns[:, :, STATIC_COLUMNS]
         columns.append(np.einsum("nki,nj->nkij", motions, law).reshape(len(law), motions.shape[1], -1))
     return columns

@@ -285,8 +285,9 @@ class _Hypotheses:
         )
 
     def _chance_of_other(self, index: int) -> float:
-        """The probability that noise alone makes some other single effect leave as much less as it does, although the
-        candidate with this index is right (exact.py), if its effects are laws; else 1."""
+        """If the effects of the candidate with this index are laws: the probability that the other single effect that
+        leaves least does so by noise alone, although the candidate is right (exact.py). Else 1. Ratios of pairs are
+        kept."""
         candidate, search = self.candidates[index], self.search
         if not exact.is_law(candidate.ids):
             return 1.0

@@ -80,8 +80,9 @@ class _Phase:
 
 
 def plan_best_motion(fitter: Fitter, rivals: Rivals) -> NextMotion:
-    """Plans the motion, at most _LONGEST_S long, that is expected to tell most about which of the rivals is right. If
-    the recordings moved other axes of a camera's instrument, a motion during which these sway is compared too."""
+    """Plans the motion that is expected to tell most about which of the rivals is right; it lasts _LONGEST_S at most,
+    unless its first phase alone takes longer. If the recordings moved other axes of a camera's instrument, a motion
+    during which these sway is compared too."""
     axes = fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments)
     plans = [_plan(fitter, rivals, sway) for sway in ((False, True) if axes else (False,))]
     return max(plans, key=lambda plan: plan.information)

@@ -229,7 +229,7 @@ class _Joined:
         self._moving = self.driven > _MOVES * max(float(np.quantile(self.driven, _FAST)), 1e-12)
         power = max(float(np.mean(self.residual**2)), self._floor2)
         self._broad = _isotropic_log_density(np.sum(self.residual**2, axis=1), power, self.coordinates)
-        # At the position of the frame before, both with their noise.
+        # Log-density of the observation about the one of the frame before: both have the noise floor^2.
         moved = joined(lambda f: f.moved)
         self._repeated = _isotropic_log_density(np.sum(moved**2, axis=1), 2.0 * self._floor2, self.coordinates)
 

@@ -244,9 +244,10 @@ class Stacked:
         gained = np.zeros(len(self.scatters))
         for i in np.flatnonzero(self.scatters):
             counts = self.in_sight[i]
-            of_all = np.sum(without[:, counts], axis=1)
+            without_event = np.sum(without[:, counts], axis=1)
+            # Hypotheses without an event, and those whose event counts in the same blocks.
             comparable = ~self.scatters | (self.in_sight == counts).all(axis=1)
-            gained[i] = float(np.min(of_all[comparable])) - float(np.sum(by_event[i, counts]))
+            gained[i] = float(np.min(without_event[comparable])) - float(np.sum(by_event[i, counts]))
         return gained
 
     def log_likelihood(
@@ -357,7 +358,8 @@ class Stacked:
         x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]  # (rows, 1, blocks)
         spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2 + self._unsteady**2)[:, None]
         floor_known = float(np.hypot(floor_known, self._doubt))
-        # The error of the log noise power: below the floor exponential, as what rests may well scatter more.
+        # Log prior of the error of the log noise power: normal above the floor, exponential below it, as the floor is
+        # estimated at rest, where the marker may well scatter more.
         error = _FLOOR_ERRORS * floor_known
         prior = np.where(error > 0.0, -0.5 * np.square(error / floor_known), -np.abs(error))
         above_noise = x - error[:, None]  # (rows, errors, blocks)
@@ -365,6 +367,7 @@ class Stacked:
         # What disturbs a block comes on top of its noise, which has to be low where the block is.
         noise_is_lower = np.log(stdtr(_DEGREES, above_noise / spread))
         disturbed = noise_is_lower - np.log((np.maximum(above_noise, 0.0) + spread) * np.log1p(_WIDEST / spread))
+        # (1 - s) noise + s disturbed = noise (1 + s relative). Products of a few blocks save logarithms.
         relative = np.exp(disturbed - noise) - 1.0
         share = shares[:, None, None]
         mixed = np.zeros((len(shares), *noise.shape[:2]))  # sum over blocks of log(1 + share relative)
