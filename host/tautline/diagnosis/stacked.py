@@ -110,7 +110,7 @@ class Stacked:
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
-        # A power below the noise's tells of less noise in that block, not of the hypothesis: it counts as the noise's.
+        # A block with less power than the noise has had less noise, whatever the hypothesis.
         self.frozen = np.maximum(evidence.frozen, self.floor2)  # (blocks,) left by the calibrated model as it is
         self.applicable = evidence.applicable
         # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
@@ -244,10 +244,10 @@ class Stacked:
         gained = np.zeros(len(self.scatters))
         for i in np.flatnonzero(self.scatters):
             counts = self.in_sight[i]
-            without_event = np.sum(without[:, counts], axis=1)
+            sums_without = np.sum(without[:, counts], axis=1)
             # Hypotheses without an event, and those whose event counts in the same blocks.
             comparable = ~self.scatters | (self.in_sight == counts).all(axis=1)
-            gained[i] = float(np.min(without_event[comparable])) - float(np.sum(by_event[i, counts]))
+            gained[i] = float(np.min(sums_without[comparable])) - float(np.sum(by_event[i, counts]))
         return gained
 
     def log_likelihood(
