@@ -8,7 +8,7 @@ from tautline.diagnosis.confounded import (
     LOAD,
     _load_variation_beside_motion,
     add_hidden,
-    hidden,
+    drift_hidden_by_load,
     load_goes_with_time,
     load_tells_apart,
 )
@@ -84,7 +84,7 @@ def test_what_stands_for_another_shares_its_probability():
             {"id": "transmission.lag", "probability": 0.05, "shrink": 0.1, "identifiable": True},
         ],
     }
-    add_hidden(document, hidden([BY_ID[LOAD], BY_ID[DRIFT]], runs(12.0, 24.0)))
+    add_hidden(document, drift_hidden_by_load([BY_ID[LOAD], BY_ID[DRIFT]], runs(12.0, 24.0)))
     assert document["effects"][0]["ambiguous_with"] == [DRIFT]
     found = {c["id"]: c for c in document["candidates"]}
     assert list(found) == [LOAD, DRIFT, "transmission.lag"]
@@ -93,4 +93,4 @@ def test_what_stands_for_another_shares_its_probability():
 
 
 def test_a_library_without_the_load_hides_nothing():
-    assert hidden([BY_ID[DRIFT]], runs(12.0, 24.0)) == {}
+    assert drift_hidden_by_load([BY_ID[DRIFT]], runs(12.0, 24.0)) == {}

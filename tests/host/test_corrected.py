@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tautline import effects, trajectory
-from tautline.diagnosis.diagnose import _corrected
+from tautline.diagnosis.diagnose import _corrected_model
 from tautline.diagnosis.fitted import Fit, Hypothesis, ParameterState
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID, LIBRARY
@@ -56,7 +56,7 @@ def values(kind) -> dict[str, float]:
 def corrected(kind) -> Model:
     state = ParameterState(MODEL, {}, values(kind))
     segment = Segment("last", LAST, T, np.zeros((len(T), 2)), T > 5.0, OFFSET, False)
-    model = _corrected(Fit(Hypothesis((kind,), (True,)), state, []), segment)
+    model = _corrected_model(Fit(Hypothesis((kind,), (True,)), state, []), segment)
     return replace(model, load_reference_mNm=LOAD)
 
 
@@ -206,7 +206,7 @@ def test_the_next_motion_stays_within_the_rig_and_asks_for_no_axis_that_never_mo
             for name in ("transmission.lag", "kinematics.nonconstant_curvature")
         ]
         rivals = Rivals.of([Fit(fitter.no_effect, start, []), *fits], [0.0, 0.5, 0.5, 0.0])
-        found = motion.best(fitter, rivals)
+        found = motion.plan_best_motion(fitter, rivals)
         table = motion.table(found.motion, "mm")
         low, high = RIG.actuator.range
         assert table["q_mm"].between(low, high).all()

@@ -13,7 +13,7 @@ from tautline import effects, trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import narration
 from tautline.diagnosis.candidates import Search
-from tautline.diagnosis.diagnose import _corrected, diagnose
+from tautline.diagnosis.diagnose import _corrected_model, diagnose
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Hypothesis
 from tautline.diagnosis.segment import prepare
@@ -337,11 +337,11 @@ def test_every_other_block_holds_both_ways(period_s):
 
 
 def test_a_direction_has_a_bin_of_its_own():
-    from tautline.diagnosis.where import _condition
+    from tautline.diagnosis.where import _condition_of_axis
 
     rng = np.random.default_rng(1)
     way = rng.choice([-1.0, 0.0, 1.0], 900)
-    found = _condition("direction", way, np.where(way < 0, 2.0, 0.1)[:, None])
+    found = _condition_of_axis("direction", way, np.where(way < 0, 2.0, 0.1)[:, None])
     assert list(found.centres) == [-1.0, 0.0, 1.0]
     assert found.power == pytest.approx([4.0, 0.01, 0.01]) and found.says == "while the motor falls"
 
@@ -394,7 +394,7 @@ def test_a_drift_that_wears_off_is_folded_in_as_far_as_it_went():
     drift = {"offset_drift": 8e-4, "width_drift": 1e-3, "drift_decay": 0.02}
     hypothesis = Hypothesis().plus(effects.BY_ID["transmission.drift"], False)
     state = replace(fitter.start(), values=drift)
-    corrected = _corrected(Fit(hypothesis, state, []), segments[-1])
+    corrected = _corrected_model(Fit(hypothesis, state, []), segments[-1])
     end = segments[-1].motor.t_s[-1] + segments[-1].offset_s
     at = np.array([made[1].motor.t_s[-1]])
     with_drift = effects.simulate(true_model(), made[1].motor, at, drift, clock_offset_s=end - at[0])

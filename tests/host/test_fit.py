@@ -11,8 +11,8 @@ from tautline.diagnosis.candidates import Search, applicable
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.huber import huber_weight
-from tautline.diagnosis.moments import refined, seen_to_happen
-from tautline.diagnosis.screen import _FromEdges, _Scan, screen
+from tautline.diagnosis.moments import moments_are_seen, refine_moments
+from tautline.diagnosis.screen import _HeldFromEdges, _Scan, screen
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 from tautline.encoder import between_counts, straight_lines
@@ -210,7 +210,7 @@ def test_what_slips_twice_is_found_twice():
     once, *_ = screen(fitter, base, [BY_ID["transmission.slip"]], limits)
     twice = once.more[0]
     found = fitter.fit(Hypothesis().plus(twice.kind, twice.scope), twice.values, base.state)
-    found = refined(fitter, found, limits)
+    found = refine_moments(fitter, found, limits)
     assert rms(found.residuals) < 1.1 * NOISE
     slips = sorted((found.state.values[f"slip_time_{i}"], found.state.values[f"slip_{i}"]) for i in (1, 2))
     assert [size for _, size in slips] == pytest.approx([-0.06, 0.09], abs=2e-3)
@@ -225,7 +225,7 @@ def test_moments_that_are_scored_at_once_have_the_gain_of_columns_that_begin_the
     columns = scan._columns_if_always(BY_ID["transmission.slip"])
     times = [s.session_s[s.scored] for s in fitter.coarse.segments]
     edges = np.array([5.0, 30.0, 102.6, 104.0, 110.0])
-    from_edges = _FromEdges(scan, columns, edges)
+    from_edges = _HeldFromEdges(scan, columns, edges)
     for chosen in ([], [3], [3, 0]):
         tried = [i for i in range(len(edges)) if i not in chosen]
         amplitudes, gains = from_edges.gains(chosen, tried)
@@ -246,10 +246,10 @@ def test_a_first_fit_is_not_finished_only_where_another_leaves_far_less_of_many_
         search = Search(fitter, fitter.recalibrated(), [BY_ID[name] for name in names], lambda text: None)
         entries = screen(fitter, search.base.fit, search.kinds, search.limits)
         screened = {entry.kind.id: entry for entry in reversed(entries)}  # of each the best scope
-        fits = [search._begun(search.base, screened[name]) for name in names]
-        assert search._hopeless(fits) == hopeless
+        fits = [search._first_fit(search.base, screened[name]) for name in names]
+        assert search._are_hopeless(fits) == hopeless
         gone = replace(fits[1], residuals=[np.full_like(r, np.nan) for r in fits[1].residuals])
-        assert search._hopeless([fits[0], gone]) == [False, True]
+        assert search._are_hopeless([fits[0], gone]) == [False, True]
 
 
 def test_an_axis_that_never_moved_hides_no_other():
@@ -313,7 +313,7 @@ def test_a_moment_is_seen_by_the_frames_that_show_it_however_late_they_arrive(be
     hypothesis = Hypothesis().plus(BY_ID["registration.shift"], Scope.START)
     fit = Fit(hypothesis, state, fitter.residuals(state, hypothesis))
     assert rms(fit.residuals) < 1.1 * NOISE
-    assert seen_to_happen(fitter, fit, [1e3, 1e3]) == seen
+    assert moments_are_seen(fitter, fit, [1e3, 1e3]) == seen
 
 
 def test_a_moment_is_found_by_a_sensor_that_the_model_was_not_calibrated_with():

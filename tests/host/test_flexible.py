@@ -39,7 +39,7 @@ def test_what_goes_with_position_and_direction_is_closed():
         r + np.column_stack([0.6 * np.sin(1.5 * motor(s)), 0.4 * np.sign(np.gradient(motor(s)))])
         for s, r in zip(SEGMENTS, noise(3), strict=True)
     ]
-    found = flexible.close(SEGMENTS, residuals, NOISE)
+    found = flexible.cross_validate(SEGMENTS, residuals, NOISE)
     assert found is not None and found.closable_shrink > 0.9
     assert found.before == pytest.approx(np.sqrt(np.mean(np.concatenate(residuals) ** 2)), rel=0.05)
 
@@ -51,25 +51,25 @@ def test_a_place_is_the_same_in_a_recording_of_a_smaller_range():
         r + np.column_stack([0.6 * np.sin(1.5 * motor(s)), 0.4 * np.cos(motor(s))])
         for s, r in zip(pair, noise(6), strict=True)
     ]
-    found = flexible.close(pair, residuals, NOISE)
+    found = flexible.cross_validate(pair, residuals, NOISE)
     assert found is not None and found.closable_shrink > 0.98
 
 
 def test_noise_is_left_as_it_is():
-    found = flexible.close(SEGMENTS, noise(4), NOISE)
+    found = flexible.cross_validate(SEGMENTS, noise(4), NOISE)
     assert found is not None and found.shrink < 0.03 and found.after < 1.05 * found.before
 
 
 def test_scatter_larger_than_the_floor_is_not_called_closable():
     residuals = [8.0 * r for r in noise(5)]
-    found = flexible.close(SEGMENTS, residuals, NOISE)
+    found = flexible.cross_validate(SEGMENTS, residuals, NOISE)
     assert found is not None and found.closable_shrink < 0.1
 
 
 def test_one_block_has_no_other_half():
     one = SEGMENTS[0]
     ramp = replace(one, motor=replace(one.motor, q=0.05 * one.motor.t_s))
-    assert flexible.close([ramp], [np.zeros((int(ramp.scored.sum()), 2))], NOISE) is None
+    assert flexible.cross_validate([ramp], [np.zeros((int(ramp.scored.sum()), 2))], NOISE) is None
 
 
 def test_a_swing_of_its_own_period_is_found_and_closed():
@@ -77,7 +77,7 @@ def test_a_swing_of_its_own_period_is_found_and_closed():
         r + 0.5 * np.sin(2 * np.pi * (s.arrival_s[s.scored] + s.offset_s) / 3.1)[:, None]
         for s, r in zip(SEGMENTS, noise(6), strict=True)
     ]
-    found = flexible.close(SEGMENTS, residuals, NOISE)
+    found = flexible.cross_validate(SEGMENTS, residuals, NOISE)
     assert found is not None and found.swing_s == pytest.approx(3.1, rel=0.02)
     assert found.closable_shrink > 0.9
 
@@ -99,7 +99,7 @@ def test_what_is_the_same_throughout_does_not_swing():
 def test_what_the_motor_makes_is_no_swing():
     for made in (lambda q: 0.1 * q, lambda q: 0.03 * q**2):
         residuals = [r + made(motor(s))[:, None] for s, r in zip(SEGMENTS, noise(7), strict=True)]
-        found = flexible.close(SEGMENTS, residuals, NOISE)
+        found = flexible.cross_validate(SEGMENTS, residuals, NOISE)
         assert found is not None and found.swing_s is None and found.closable_shrink > 0.9
 
 

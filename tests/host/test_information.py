@@ -82,8 +82,8 @@ def test_what_a_refit_leaves_is_what_is_foretold(at_one_speed):
 
 def test_nothing_is_expected_where_both_say_the_same_and_no_more_than_is_open(at_one_speed):
     fitter, base, lag, _ = at_one_speed
-    same = motion.best(fitter, Rivals.of([base, lag, lag], [0.0, 0.49, 0.49, 0.02]))
-    other = motion.best(fitter, Rivals.of([base, lag, lag], [0.49, 0.49, 0.0, 0.02]))
+    same = motion.plan_best_motion(fitter, Rivals.of([base, lag, lag], [0.0, 0.49, 0.49, 0.02]))
+    other = motion.plan_best_motion(fitter, Rivals.of([base, lag, lag], [0.49, 0.49, 0.0, 0.02]))
     assert same.information < 0.3 < 0.6 < other.information <= other.entropy
 
 
@@ -97,7 +97,7 @@ def test_what_one_speed_leaves_open_is_asked_at_another_speed():
     rivals = Rivals.of([base, by_speed, fitted(fitter, "transmission.backlash", {})], [0.0, 0.5, 0.5, 0.0])
     again = fitter.segments[1]
     repeated = Outlook(fitter, rivals, [again], 1.0).expected([0], float(again.motor.t_s[-1]))
-    asked = motion.best(fitter, rivals)
+    asked = motion.plan_best_motion(fitter, rivals)
     assert asked.entropy - asked.information < 0.5 * (asked.entropy - repeated)
     speeds = np.abs(np.diff(asked.motion.q)) * trajectory.RATE_HZ
     assert np.median(speeds[speeds > 0.1]) < 0.7
@@ -106,5 +106,5 @@ def test_what_one_speed_leaves_open_is_asked_at_another_speed():
 def test_what_imitates_everywhere_is_not_open(at_one_speed):
     fitter, base, lag, _ = at_one_speed
     # As sure as a verdict gets of a part of the nominal model: what is left to unknown is what imitates it everywhere.
-    assert motion.best(fitter, Rivals.of([base, lag], [0.0, 0.95, 0.05])).information < 0.25
-    assert motion.best(fitter, Rivals.of([base, lag], [0.0, 0.5, 0.5])).information > 0.5
+    assert motion.plan_best_motion(fitter, Rivals.of([base, lag], [0.0, 0.95, 0.05])).information < 0.25
+    assert motion.plan_best_motion(fitter, Rivals.of([base, lag], [0.0, 0.5, 0.5])).information > 0.5

@@ -13,7 +13,7 @@ from tautline.core.posterior import Posterior
 from tautline.diagnosis import gap, heldout
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.folder import save
-from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown, likeliest
+from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown, fit_held_or_loose
 from tautline.diagnosis.joint_sets import Sets
 from tautline.diagnosis.joint_told import Answer, answer_to_hand_out, held_out_residuals, with_joint_answer
 from tautline.diagnosis.repeated import HELD
@@ -178,7 +178,7 @@ def hanging(c, t_s):
 def test_slack_in_which_a_load_holds_the_joint_to_one_side_is_a_width_and_no_law(folder):
     seen = nominal(SERVO, [robot(folder, seed, behind=hanging) for seed in (3, 5)], arms.rig(folder))
     joint = Joint(seen.model, PARAMETERS, prepare(seen.model, seen.calibration, seen.tests, seen.drives)[1:], NOISE_DEG)
-    told = Answer.of(*likeliest(joint))
+    told = Answer.of(*fit_held_or_loose(joint))
     assert told.joint.loose and {WIDTH} in [set(group) for group in told.sets.groups]
     assert not any(LAW in group for group in told.sets.groups)
     model = told.corrected_model()
@@ -192,7 +192,7 @@ def test_slack_in_which_a_load_holds_the_joint_to_one_side_is_a_width_and_no_law
 
 
 def test_a_play_that_holds_is_not_loose(answer):
-    assert not likeliest(answer.joint)[0].loose
+    assert not fit_held_or_loose(answer.joint)[0].loose
 
 
 def test_friction_may_be_another_one_in_another_recording_and_slack_is_not(answer, folder):
@@ -221,7 +221,7 @@ def test_all_that_is_unknown_is_in_a_predictions_sigma(answer, folder):
     fitted, rng = answer.fitted, np.random.default_rng(4)
     draws = []
     for u in rng.multivariate_normal(fitted.u, 0.01 * fitted.posterior.covariance, 200):
-        drawn = answer.joint.model_at(answer.joint.within(u))
+        drawn = answer.joint.model_at(answer.joint.within_ranges(u))
         draws.append(predict(drawn, seen.motor, seen.angle.t_s - drawn.delay_s).c_deg)
     expected = 10.0 * np.std(draws, axis=0)
     told = np.sqrt(sigma**2 - model.noise_of(ANGLE) ** 2)
@@ -391,7 +391,7 @@ def test_where_a_linear_step_fails_the_rest_is_fitted_without_the_block(answer):
     posterior = Posterior(("u:0",), here, np.eye(1))
     fitted = Fitted(posterior, Noise(0.01, 1.0), joint.residuals(here), joint.slopes(here, None), np.arange(1))
     for step in (1.5, 0.5):  # it leads nowhere, and there
-        refitted = joint.left_without(fitted, [rest], np.array([step]))
+        refitted = joint.residuals_with_weights(fitted, [rest], np.array([step]))
         np.testing.assert_allclose(refitted[0][rest == 0.0], (y - np.exp(x))[rest == 0.0], rtol=0.02)
 
 
@@ -406,4 +406,4 @@ def test_a_fit_without_a_block_stays_within_the_unknowns_ranges(answer):
     here = np.full(1, 0.1)
     posterior = Posterior(("u:0",), here, np.eye(1))
     fitted = Fitted(posterior, Noise(0.01, 1.0), joint.residuals(here), [x[:, :, None]], np.arange(1))
-    np.testing.assert_allclose(joint.left_without(fitted, [rest], np.array([-1.1]))[0], y)
+    np.testing.assert_allclose(joint.residuals_with_weights(fitted, [rest], np.array([-1.1]))[0], y)

@@ -213,4 +213,4 @@ def test_a_descriptor_that_would_not_do_is_refused_with_its_reason(monkeypatch, 
     monkeypatch.setattr(outside, "entry_points", lambda group: [entry])
     monkeypatch.setattr(outside, "_loaded", lambda entry: (kind,))
     with pytest.raises(TautError, match=why):
-        outside.added(effects.LIBRARY)
+        outside.installed_effects(effects.LIBRARY)

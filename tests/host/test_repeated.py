@@ -15,7 +15,7 @@ from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.gap import shrink_interval_elsewhere
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.repeated import HELD
-from tautline.diagnosis.segment import prepare, repeated
+from tautline.diagnosis.segment import are_repeats, prepare
 from tautline.model import Effect, Model
 from tautline.recording import Marker, Recording
 from tautline.simulated import simulate
@@ -115,10 +115,10 @@ def test_one_frame_that_is_the_one_before_is_a_coincidence():
 
 def test_a_sensor_that_counts_repeats_nothing_when_it_rests_on_a_step():
     smooth = np.column_stack([np.sin(np.linspace(0.0, 6.0, 400)), np.cos(np.linspace(0.0, 6.0, 400))])
-    assert not repeated(smooth).any() and not repeated(np.round(smooth, 2)).any()
+    assert not are_repeats(smooth).any() and not are_repeats(np.round(smooth, 2)).any()
     twice = np.repeat(smooth, 2, axis=0)
-    assert np.array_equal(repeated(twice), np.arange(len(twice)) % 2 == 1)
-    assert repeated(twice[:0]).shape == (0,)  # a test in which nothing was seen
+    assert np.array_equal(are_repeats(twice), np.arange(len(twice)) % 2 == 1)
+    assert are_repeats(twice[:0]).shape == (0,)  # a test in which nothing was seen
 
 
 @pytest.mark.parametrize("before", [0.0, 0.4])

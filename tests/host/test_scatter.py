@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tautline.diagnosis.scatter import RIVALS, Scatter, _Joined, compared, frames
+from tautline.diagnosis.scatter import RIVALS, Scatter, _Joined, compare_explanations, frames
 
 FLOOR, RATE_HZ = 0.05, 25.0
 JITTER, STICK = "acquisition.jitter", "transmission.stick_slip"
@@ -21,7 +21,7 @@ def told(rng: np.random.Generator, make, per_unit: np.ndarray = PX_PER_UNIT) -> 
     seen = seen if seen.ndim > 1 else seen[:, None] * per_unit
     seen = seen + rng.normal(0.0, FLOOR, seen.shape)
     block = (t // 8.0).astype(np.int64)
-    return compared([frames(t, seen, p[:, None] * per_unit, p, block)], FLOOR, int(block[-1]) + 1)
+    return compare_explanations([frames(t, seen, p[:, None] * per_unit, p, block)], FLOOR, int(block[-1]) + 1)
 
 
 def unsteady(t, p, rng):
@@ -132,7 +132,7 @@ def test_frames_count_whose_times_scatter_by_more_than_a_period():
     block = (arrival // 8.0).astype(np.int64)
     counted = frames(arrival, seen, p[:, None] * PX_PER_UNIT, p, block)
     assert len(counted.block) > 0.5 * len(scene)
-    said = compared([counted], FLOOR, int(block[-1]) + 1)
+    said = compare_explanations([counted], FLOOR, int(block[-1]) + 1)
     assert min((JITTER, STICK, *RIVALS), key=lambda key: float(np.mean(said.loss[key]))) == JITTER
     assert said.amount[JITTER] == pytest.approx(0.04, rel=0.3)
 
@@ -147,7 +147,7 @@ def test_times_of_arrival_tell_which_frame_waited():
     seen = at(scene)[:, None] * PX_PER_UNIT + rng.normal(0.0, FLOOR, (len(scene), 2))
     p = at(arrival - 0.07)
     block = (arrival // 8.0).astype(np.int64)
-    said = compared([frames(arrival, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
+    said = compare_explanations([frames(arrival, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
     mean = {key: float(np.mean(said.loss[key])) for key in (JITTER, STICK, *RIVALS)}
     assert min(mean, key=lambda key: mean[key]) == JITTER, mean
     assert said.amount[JITTER] == pytest.approx(float(np.std(arrival - scene)), rel=0.3)
@@ -164,6 +164,6 @@ def test_of_frames_that_come_in_bunches_nothing_is_told():
     p = np.sin(t)
     seen = p[:, None] * PX_PER_UNIT
     block = (t // 10.0).astype(np.int64)
-    said = compared([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
+    said = compare_explanations([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
     assert not any(said.beats_noise(event) for event in (JITTER, STICK, HELD))
     assert all(loss.tolist() == [0.0] * 4 for loss in said.loss.values()) and set(RIVALS) < set(said.loss)

@@ -128,7 +128,7 @@ def test_an_event_has_what_nothing_else_foretells(seed, blocks, excess, later):
         return replace(of, ids=(*of.ids, STICK), scatter=scatter, rival=rival)
 
     events = [event(h) for h in plain.hypotheses[:2]]
-    told = Stacked(replace(plain, hypotheses=(*plain.hypotheses, *events))).foretold_better(excess)
+    told = Stacked(replace(plain, hypotheses=(*plain.hypotheses, *events))).gain_by_event(excess)
     assert not told[:4].any()
 
     def left(h: Weighed, factor: np.ndarray) -> float:

@@ -9,7 +9,7 @@ import pytest
 
 from tautline.diagnosis import narration
 from tautline.diagnosis.simulated import diagnose_simulator
-from tautline.diagnosis.stepping import stepped
+from tautline.diagnosis.stepping import without_step_error
 from tautline.errors import TautError
 from tautline.recording import Angle, Motor, Recording
 from tautline.simulators import Declared, Simulator, mjcf, source
@@ -100,15 +100,15 @@ def test_a_fault_beside_a_coarse_step_has_its_own_value(folder):
 
 def test_values_that_were_fitted_at_a_step_hold_there(folder):
     robots = [robot(folder, seed, lambda motor: COARSE.tip(motor, {})) for seed in (3, 5)]
-    simulator, error = stepped(COARSE, robots, arms.rig(folder))
+    simulator, error = without_step_error(COARSE, robots, arms.rig(folder))
     assert simulator is COARSE and error is None
 
 
 def test_a_step_that_errs_by_less_than_the_noise_stays(folder):
     fine, unknown = follower(1e-4), replace(COARSE, step_s=None, at_step=None)
     robots = [robot(folder, 3, lambda motor: exact(motor, LAG_S))]
-    assert stepped(fine, robots, arms.rig(folder)) == (fine, None)
-    assert stepped(unknown, robots, arms.rig(folder)) == (unknown, None)
+    assert without_step_error(fine, robots, arms.rig(folder)) == (fine, None)
+    assert without_step_error(unknown, robots, arms.rig(folder)) == (unknown, None)
 
 
 def test_an_mjcf_at_another_step_is_found_again(folder):

@@ -33,7 +33,7 @@ _SMALL_START = 0.1  # tolerance: share of an event's amount from which a fit of 
 _CURVE_PARAMETERS = 3  # prior: effective parameters of a smooth curve: level, slope, curvature
 _NOISE_LIMIT = 4.0  # tolerance: noise floors to which residuals that should be noise are cut: a lost marker is none
 # Prior odds and the price of twelve parameters differ by 25 nats at most.
-_HOPELESS = 40.0  # tolerance: nats: a first fit that is so much less likely than another is not finished
+_HOPELESS = 40.0  # tolerance: nats: a first fit that is less likely than another by more is not finished
 _OUTLIER_LIMIT = 8.0  # tolerance: noise floors below which a residual is never cut
 
 
@@ -66,12 +66,13 @@ class Candidate:
 
     @property
     def parameters(self) -> int:
-        """The number of parameters for the information criterion (`parameter_price`), amounts of events included. A
-        smooth curve counts as _CURVE_PARAMETERS. A parameter with a value for each recording counts once, as each
-        value has to pay in the blocks of its own recording; all its values count where the effect is one of those that
-        may differ by recording on their own (`Kind.each`)."""
+        """The number of parameters that the information criterion counts (`parameter_price`): the fitted ones, those
+        that are searched, and the amounts of events. A smooth curve counts as _CURVE_PARAMETERS at most. A parameter
+        with a value for each recording counts once, as each value has to pay in the blocks of its own recording; but of
+        effects with `Kind.each` every value counts."""
         hypothesis, values = self.fit.hypothesis, self.fit.state.values
         all_count = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
+        # A slot's number is 0 where all recordings share it; of those with a value each, number 1 stands for all.
         keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in all_count}
         keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
         keys &= values.keys()
@@ -94,20 +95,21 @@ class Candidate:
         return any(not kind.event or kind.event.mean in values for kind in kinds)
 
     def with_nominal(self, state: ParameterState, residuals: list[Array]) -> Candidate:
-        """The same effects on top of the nominal model and registration of `state`, with the residuals (scored, k) that
-        this leaves of each recording as `held_out`; `power` stays as it was."""
+        """The same effects with the nominal model and registration of `state`, and with `residuals` (scored, k), which
+        these leave of each recording, as `held_out`. `power` stays as it was."""
         moved = replace(self.fit.state, model=state.model, static=state.static)
         return replace(self, fit=replace(self.fit, state=moved), held_out=residuals)
 
     def with_events_as_parameters(self) -> Candidate:
-        """The candidate with its events' amounts among the fitted values, as diagnosis.json reports them. No residual
-        may be computed from it any more: the simulation would draw a random course of them."""
+        """A copy with the amounts of its events added to the fitted values, as diagnosis.json reports them. No
+        residuals may be computed from this copy, as the simulation would draw a random course of the events."""
         values = {**self.fit.state.values, **self.scatters}
         return replace(self, fit=replace(self.fit, state=replace(self.fit.state, values=values)))
 
 
 class Search:
-    """Fits hypotheses on top of others and evaluates all of them on the same blocks, with the same outlier limits."""
+    """Fits further effects on top of fitted hypotheses, and evaluates all of them on the same blocks with the same
+    outlier limits."""
 
     def __init__(
         self,
@@ -117,8 +119,8 @@ class Search:
         progress: Progress,
         scopes: Sequence[Scope] = tuple(Scope),
     ) -> None:
-        """base: the recalibrated nominal model's fit, without effects. kinds: effects to try. scopes: since when an
-        effect may be there."""
+        """base: the recalibrated nominal model's fit, without effects. kinds: effects to try. progress: called with
+        what is fitted now. scopes: since when an effect may be there."""
         self.fitter, self.kinds, self._progress, self.scopes = fitter, kinds, progress, scopes
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
@@ -134,9 +136,9 @@ class Search:
         return Scope.TESTS in self.scopes
 
     def without_posture_if_load_explains(self) -> Search:
-        """A search without the effects of posture (width, offset, f_remain of each recording), if the measured load
-        alone leaves less of the gap than a wrong effect does: a recorded cause is preferred to an unrecorded one. Else
-        this search."""
+        """A search without the effects of posture (width, offset, f_remain), if an effect of the measured load alone
+        leaves less of the gap than a wrong effect usually does: a cause that was recorded is preferred to one that was
+        not. Otherwise this search itself. It fits the load's effects to find out."""
         loads = [kind for kind in self.kinds if kind.needs == "load"]
         floor2 = self.fitter.floor**2
         least_of_wrong = learnt().center.unexplained_by_wrong * (float(np.mean(self.base.power)) - floor2)
@@ -147,10 +149,11 @@ class Search:
         return self
 
     def evaluated(self, fit: Fit) -> Candidate:
-        """A fit with its cross-validated residuals, and the two tests of whether its effects are the cause: what no law
-        of their stages could leave (`beyond`), and whether their amplitudes are constant (`wanders`). Where there are
-        effects and several tests, a block also bears by how much its recording contradicts the fit of the others: one
-        test, or none of an effect, is contradicted by nothing but the calibration."""
+        """Cross-validates a fit and adds two tests of whether its effects are the cause: `beyond`, what no law of their
+        stages could leave, and `wanders`, how their amplitudes vary. With effects and more than one test,
+        power_with_surprise is `power` plus the mean over each block of how much its recording contradicts the fit of
+        the others (heldout.py); otherwise it is `power`, as nothing but the calibration could contradict a single
+        test."""
         rows = self.fitter.linearised(fit)
         held_out, surprise = heldout.residuals_and_surprise(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
         power = with_surprise = self.power(held_out)
@@ -164,12 +167,12 @@ class Search:
         return Candidate(fit, held_out, power, with_surprise, self.beyond(fit), wanders=wanders)
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
-        """What no law of the stages of the fit's effects could leave, whatever its equations (`confined.residuals`), as
-        two arrays (blocks,). `power` is the mean square of a coordinate, px^2, as of `power`, but of residuals cut to
-        _NOISE_LIMIT noise floors. `count` is of how many independent numbers that is the mean: fewer than samples, as
-        neighbours' noise is alike (`gap.noise_samples_per_independent`). further: effects beside the fit that may free
-        the angle or the time too. None where these stages could leave anything (no camera, no effect, angle and time
-        both free), or where too many unknowns would be asked for."""
+        """What the fit leaves that no law of its effects' stages could leave, whatever the law's equations
+        (`confined.residuals`); None where that function returns None. `power` (blocks,): mean square of a coordinate,
+        px^2, of these residuals cut to _NOISE_LIMIT noise floors. `count` (blocks,): how many independent numbers each
+        mean is of, fewer than samples, as the noise of neighbouring frames is alike
+        (`gap.noise_samples_per_independent`). further: effects that are not fitted but may free the angle or the time
+        too."""
         residuals = confined.residuals(self.fitter, fit, further)
         if residuals is None:
             return None
@@ -181,14 +184,14 @@ class Search:
         return Beyond(self._block_powers(residuals, limits, self.labels), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
-        """(blocks,) mean squares of a coordinate, px^2 or deg^2, block after block and recording after recording, each
-        recording's over its noise beside the tests' (`Fitter.relative_noise`). residuals: (scored, k) of each
-        recording; they are cut to `limits`."""
+        """(blocks,) Mean square of a coordinate in each block, px^2 or deg^2, block after block and recording after
+        recording. residuals: (scored, k) of each recording; they are cut to `limits` and divided by the recording's
+        relative noise (`Fitter.relative_noise`)."""
         return self._block_powers(residuals, self.limits, self.labels)
 
     def _block_powers(self, residuals: Sequence[Array], limits: Sequence[float], labels: Labels) -> Array:
-        """As `power`, with the residuals of each recording cut to its own one of `limits`; never less than the power of
-        the least noise that a sensor is taken to have, so that what leaves next to nothing leaves noise."""
+        """As `power`, with limits (one for each recording) and block labels given. A block's power is at least that of
+        the least noise that any sensor is taken to have, so that a fit without residuals still leaves noise."""
         least, parts = samples.least_noise("px" if self.fitter.px else "deg") ** 2, []
         for r, label, limit, times in zip(residuals, labels, limits, self.fitter.relative_noise, strict=True):
             squares = np.mean((np.minimum(np.abs(r), limit) / times) ** 2, axis=1)
@@ -196,41 +199,44 @@ class Search:
         return np.concatenate(parts)
 
     def on_top_of(self, below: Candidate, refits: int, rescoped: int) -> list[Candidate]:
-        """Fits of one more effect on top of `below`, the smallest `_mean_log_power` first: of what is `_worth_a_fit`
-        (the `refits` effects with the largest linear score, and others) those that are not `_hopeless`. rescoped: how
-        many of the best are fitted in their other scopes (since when they are there) too; 0 on top of an effect."""
+        """Fits one more effect on top of `below` and returns the candidates, smallest `_mean_log_power` first. Effects
+        are screened linearly; `_effects_to_fit` chooses some of them for a first fit, and the fits that are not
+        hopeless (`_are_hopeless`) are finished. The effects of the best `rescoped` candidates are also fitted in their
+        other scopes (since when they are there); 0 where `below` has an effect already. refits: number of effects with
+        the largest linear score that are fitted."""
         screened: dict[str, dict[Scope, Screened]] = {}  # by id and scope, the largest score first
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits, self.scopes):
             screened.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
-        tried = self._worth_a_fit(screened, refits, thorough=rescoped > 0)
-        begun = [self._begun(below, entry) for entry in tried]
+        tried = self._effects_to_fit(screened, refits, thorough=rescoped > 0)
+        begun = [self._first_fit(below, entry) for entry in tried]
         candidates: list[Candidate] = []
-        for entry, fit, hopeless in zip(tried, begun, self._hopeless(begun), strict=True):
+        for entry, fit, hopeless in zip(tried, begun, self._are_hopeless(begun), strict=True):
             if not hopeless:
-                candidates += self._finished_while_it_helps(below, entry, fit)
+                candidates += self._finished_with_more_moments(below, entry, fit)
         candidates.sort(key=_mean_log_power)
         for candidate in candidates[:rescoped]:
             kind, since = candidate.fit.hypothesis.kinds[-1], candidate.fit.hypothesis.scopes[-1]
             for scope, other in screened[kind.id].items():
                 if scope != since and not kind.each:
-                    candidates += self._finished(other, self._begun(below, other))
+                    candidates += self._finished_candidates(other, self._first_fit(below, other))
         return sorted(candidates, key=_mean_log_power)
 
-    def _worth_a_fit(
+    def _effects_to_fit(
         self, screened: Mapping[str, Mapping[Scope, Screened]], refits: int, *, thorough: bool
     ) -> list[Screened]:
-        """The `refits` effects with the largest linear score and what these contain (`Kind.contains`), each in the
-        scope that scores best. thorough: also all of which a linear step tells little, and those that may differ by
-        recording on their own (`Kind.each`) in every scope. screened: by id and scope, the largest score first."""
+        """Chooses the screened effects to fit: the `refits` with the largest linear score and the effects that these
+        contain (`Kind.contains`), each in the scope that scores best. With `thorough` also all effects of which a
+        linear step tells little, and those with `Kind.each` in every scope. screened: {id: {scope: entry}}, the largest
+        score first."""
         leading = list(screened)[:refits]
-        # What a flexible effect contains takes its place where it suffices, so it has to be there.
+        # A simple effect takes the place of a flexible one that contains it, where it suffices: it is fitted too.
         contains = {kind.id: kind.contains for kind in self._with_path}
         leading += [contained for name in leading for contained in contains[name]]
         tried: list[Screened] = []
         for name, by_scope in screened.items():
             best, *others = by_scope.values()
-            # A linear step tells little of parts of the nominal model, as the recalibrated one has moved half way
-            # towards them, and of a simulator's parameters, in which the simulation need not be linear.
+            # A linear step tells little of the nominal model's parts, as the recalibration has moved them half way
+            # already, and of a simulator's parameters, in which the simulation need not be linear.
             step_tells_little = best.kind.nominal or best.kind.stage == SIMULATOR
             if name in leading or (thorough and step_tells_little):
                 tried.append(best)
@@ -238,17 +244,18 @@ class Search:
                 tried += others
         return tried
 
-    def _begun(self, below: Candidate, entry: Screened) -> Fit:
-        """A first fit of the screened effect beside those of `below`."""
+    def _first_fit(self, below: Candidate, entry: Screened) -> Fit:
+        """A first fit, to fewer observations (`Fitter.begin`), of the effects of `below` and the screened one."""
         self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
         start = {**below.fit.state.values, **entry.values}
         hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
         return self.fitter.begin(hypothesis, start, below.fit.state, entry.others)
 
-    def _hopeless(self, begun: Sequence[Fit]) -> list[bool]:
-        """Of each first fit whether it cannot be the cause if another of them may: of each block one number beyond the
-        noise is told (Stacked.log_likelihood), so that one which leaves m times the power in n blocks is n log(m) / 2
-        nats less likely. One that predicts nothing is."""
+    def _are_hopeless(self, begun: Sequence[Fit]) -> list[bool]:
+        """For each first fit whether it is so much less likely than the best of them that it cannot be the cause, or is
+        not finite. A block tells one number beyond the noise (Stacked.log_likelihood), so with powers P of the blocks,
+        at least floor^2, minus the log-likelihood is sum(log P) / 2; hopeless is what exceeds the least by _HOPELESS or
+        more."""
         labels = self._coarse_labels()
         floor2 = self.fitter.floor**2
         nats = [
@@ -260,29 +267,30 @@ class Search:
         return [not n < min(nats) + _HOPELESS for n in nats]
 
     def _coarse_labels(self) -> Labels:
-        """`labels` of the fewer observations that first fits are of (`Fitter.coarse`), without numbers that no
-        observation is left of."""
+        """For each recording the block number of each observation of `Fitter.coarse`, to which first fits are made;
+        numbered anew from 0, as some blocks may have no observation there."""
         return [
             np.unique(label[np.searchsorted(s.arrival_s[s.scored], few.arrival_s[few.scored])], return_inverse=True)[1]
             for s, few, label in zip(self.fitter.segments, self.fitter.coarse.segments, self.labels, strict=True)
         ]
 
-    def _finished(self, entry: Screened, begun: Fit) -> list[Candidate]:
-        """[The fit of a screened effect that was begun]; [] where it fails, or where no recording shows its moments or
-        its drift."""
+    def _finished_candidates(self, entry: Screened, begun: Fit) -> list[Candidate]:
+        """Finishes the first fit `begun` of a screened effect and returns [its candidate]; [] where the fit is not
+        finite, or no recording shows its moments or its drift. Moments are searched to a frame."""
         fit = self.fitter.finish(begun)
         if fit.finite and moments.moments_of(fit):
-            fit = moments.refined(self.fitter, fit, self.limits)
-        if not (fit.finite and moments.seen_to_happen(self.fitter, fit, self.limits) and self._seen_to_change(fit)):
+            fit = moments.refine_moments(self.fitter, fit, self.limits)
+        if not (fit.finite and moments.moments_are_seen(self.fitter, fit, self.limits) and self._drift_is_seen(fit)):
             return []
         return [self.evaluated(fit)]
 
-    def _finished_while_it_helps(self, below: Candidate, entry: Screened, begun: Fit) -> list[Candidate]:
-        """As `_finished`; of an effect that happens at moments (shift, slip) also fits with two moments, three, ..., up
-        to the first that fails or leaves more than the one before."""
-        fitted = self._finished(entry, begun)
+    def _finished_with_more_moments(self, below: Candidate, entry: Screened, begun: Fit) -> list[Candidate]:
+        """As `_finished_candidates`; for an effect that happens at moments (shift, slip) it also fits two moments,
+        three and so on, until a fit fails or leaves more than the one before. Returns all candidates, that last one
+        included."""
+        fitted = self._finished_candidates(entry, begun)
         for repeated in entry.more if fitted else ():
-            again = self._finished(repeated, self._begun(below, repeated))
+            again = self._finished_candidates(repeated, self._first_fit(below, repeated))
             fitted += again
             if not again or _mean_log_power(fitted[-1]) > _mean_log_power(fitted[-2]):
                 break
@@ -291,10 +299,10 @@ class Search:
     def with_posture(
         self, below: Candidate, only: Collection[str] | None = None, simple: bool = False
     ) -> Candidate | None:
-        """A fit of all that another posture, tension or homing changes (width, offset, f_remain) at once on top of
-        `below`, in each recording separately where there are several tests. only: ids to which this is restricted.
-        simple: with the effects' constant forms (`Kind.simple`) in place of curves over the motor's range. None where
-        the fit fails or nothing is to be added."""
+        """Fits on top of `below`, at once, all effects that another posture, tension or homing causes (width, offset,
+        f_remain), in each test separately where there are several. only: ids to which these are restricted. simple:
+        take the effects' constant forms (`Kind.simple`) in place of curves over the motor's range. None where no effect
+        is left to add, or the fit is not finite."""
         kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
         kinds = [(simple and kind.simple) or kind for kind in kinds if only is None or kind.id in only]
         if not kinds:
@@ -309,10 +317,11 @@ class Search:
         return self.evaluated(fit) if fit.finite else None
 
     def with_nominal_parts(self) -> list[Candidate]:
-        """A fit of each effect that, coming after the calibration, also changes parts of the nominal model
-        (`Kind.brings`: friction widens the backlash), together with these parts. It starts with amplitudes that a user
-        would notice (`Fitter.scale`), the first of its shapes to try, and the parts unchanged. Not of what happens at a
-        moment, which is looked for first."""
+        """For each effect that may also change parts of the nominal model when it comes after the calibration
+        (`Kind.brings`; friction widens the backlash): a fit of the effect together with these parts, for all tests. It
+        starts from amplitudes that a user would notice (`Fitter.scale`), the first listed value of each shape, and
+        unchanged parts. Effects that happen at a moment are left out, as the moment has to be searched first; so are
+        fits that are not finite."""
         candidates = []
         for kind in self.kinds:
             parts = [part for part in self.kinds if part.id in kind.brings]
@@ -332,9 +341,10 @@ class Search:
         return candidates
 
     def with_mean_effect(self, below: Candidate, kind: Kind, amount: float) -> Candidate | None:
-        """A fit of an event that came after the calibration by its mean effect alone, on top of `below`: a tip that
-        sticks and jumps lags by half a jump in the mean, as in a wider play. amount: of the event, in its parameter's
-        unit, from which the fit starts. None where the fit finds no positive mean effect."""
+        """Fits the mean effect of an event that came after the calibration, on top of `below`: in the mean a tip that
+        sticks and jumps lags by half a jump, as in a wider play. amount: the event's amount, in its parameter's unit,
+        from which the fit starts, beside a second start at _SMALL_START of it. None where the fit is not finite or its
+        mean effect is not positive."""
         assert kind.event
         hypothesis = below.fit.hypothesis.plus(kind, Scope.TESTS)
         values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
@@ -342,10 +352,10 @@ class Search:
         fit = self.fitter.fit(hypothesis, values, below.fit.state, [small])
         return self.evaluated(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
 
-    def _seen_to_change(self, fit: Fit) -> bool:
-        """For a last added effect that grows with the session's time (drift): whether within some recording it changes
-        by more than a share _LEAST_CHANGE of its largest value; one that is constant in every recording is another
-        width or offset instead. True for all other effects."""
+    def _drift_is_seen(self, fit: Fit) -> bool:
+        """Whether some recording shows the drift of the last added effect: its size (`Kind.course`) changes within that
+        recording by more than a share _LEAST_CHANGE of its largest size. If it is nearly constant in every recording,
+        it is another width or offset instead. True for an effect without a course."""
         kind, scope = fit.hypothesis.kinds[-1], fit.hypothesis.scopes[-1]
         if kind.course is None:
             return True
@@ -360,13 +370,14 @@ class Search:
 
 
 def _mean_log_power(candidate: Candidate) -> float:
-    """Mean over blocks of log(held-out mean square): fits of a search are ranked by it, the smaller the better."""
+    """Mean over blocks of log(held-out mean square), by which a search ranks its fits: the smaller the better."""
     return float(np.mean(np.log(candidate.power)))
 
 
 def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
-    """The effects of the library that these recordings could show, by their sensor and by the columns of load and of
-    other axes that they have (`Kind.needs`). left_out: ids of effects not to try."""
+    """The effects of the library that these recordings could show: `Kind.needs` must be met by their sensor and their
+    columns of load and other axes. An effect of other joints is listed once for each joint's column. Effects that need
+    a simulator in the motor's place are left out, as are those with ids in `left_out`."""
     load = any(s.motor.load_mNm is not None for s in fitter.segments)
     moving = [
         column
@@ -388,7 +399,7 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
 
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
-    """For each recording the magnitude, px or deg, to which residuals are cut, the same for all hypotheses that are
-    compared; at least _OUTLIER_LIMIT times its noise, so that noise is never cut."""
+    """For each recording the magnitude, px or deg, to which residuals are cut in the comparison of hypotheses, by what
+    `base` leaves; at least _OUTLIER_LIMIT times the recording's noise, so that noise is never cut."""
     least = [_OUTLIER_LIMIT * fitter.floor * times for times in fitter.relative_noise]
     return [max(outlier_limit(r), limit) for r, limit in zip(base.residuals, least, strict=True)]

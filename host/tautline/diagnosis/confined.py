@@ -32,11 +32,11 @@ _RANK = 1e-9  # tolerance: relative singular value below which a direction of th
 
 
 def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
-    """For each recording the residual, px, after fitting everything that the stages of a fit's effects could leave
-    whatever their laws: (scored, 2), or, where the bending angle or the time is free at every frame, its component
-    across the image motion that this causes, (scored, 1). None where these stages could leave anything (no camera, no
-    effect, angle and time both free), or a fit would have more than _MOST_COLUMNS unknowns. further: effects beside the
-    fit that may free the angle or the time too."""
+    """For each recording the residual, px, that is left after fitting everything that the stages of the fit's effects
+    could leave, whatever their laws. It is (scored, 2); where the bending angle or the time is free at every frame,
+    only its component across the image motion that this causes, (scored, 1). None where the stages could leave anything
+    (no camera, no effect, or angle and time both free), or where the unknowns, with angle and time not free, are more
+    than _MOST_COLUMNS. further: effects that are not fitted but may free the angle or the time too."""
     kinds = (*fit.hypothesis.kinds, *further)
     if not fitter.px or not kinds:
         return None
@@ -47,14 +47,18 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     rows = _with_stage_freedom(fitter, fit)
     if not (angle_is_free or time_is_free):
         return fitter.residuals_after_step(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
-    directions = [row.by_c for row in rows] if angle_is_free else [_velocity(s) for s in fitter.segments]
+    directions = [row.by_c for row in rows] if angle_is_free else [_image_velocity(s) for s in fitter.segments]
     return _residuals_across(rows, directions)
 
 
 def _residuals_across(rows: Sequence[ScoredRows], directions: Sequence[Array]) -> list[Array]:
-    """(scored, 1) px for each recording: the residual's component across the directions (scored, 2) in the image, after
-    a least-squares fit of the rows' columns to this component alone."""
-    parts = [(across(row.residual, way), across(row.columns, way)) for row, way in zip(rows, directions, strict=True)]
+    """(scored, 1) px for each recording: the residual's component across the given image directions (scored, 2), after
+    a least-squares fit of the rows' columns to this component alone. Columns are scaled to unit norm first, as their
+    units differ."""
+    parts = [
+        (across(row.residual, direction), across(row.columns, direction))
+        for row, direction in zip(rows, directions, strict=True)
+    ]
     columns = np.concatenate([part[1] for part in parts])
     norm = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     residual = np.concatenate([part[0] for part in parts])
@@ -63,9 +67,9 @@ def _residuals_across(rows: Sequence[ScoredRows], directions: Sequence[Array]) -
 
 
 def _with_stage_freedom(fitter: Fitter, fit: Fit) -> list[ScoredRows]:
-    """The fit linearised, with further columns for whatever the stages of its effects could leave (lens, plane,
-    channel; zero in the calibration if the effects came later). The effects' own parameters are free again: an inexact
-    law has biased them."""
+    """The rows of the fit, linearised, with further columns for whatever the stages of its effects could leave (lens,
+    plane, channel). These columns are zero in the calibration where all effects of that stage came later. The effects'
+    own parameters are free again, as an inexact law has biased them."""
     rows = fitter.linearised(fit)
     scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
     for stage_freedom, columns_of in _FREEDOM.items():
@@ -74,21 +78,22 @@ def _with_stage_freedom(fitter: Fitter, fit: Fit) -> list[ScoredRows]:
             came_later = all(since)
             present = [not (came_later and s.calibration) for s in fitter.segments]
             rows = [
-                replace(row, columns=np.concatenate([row.columns, added * here], axis=2))
-                for row, added, here in zip(rows, columns_of(fitter, rows), present, strict=True)
+                replace(row, columns=np.concatenate([row.columns, added * is_present], axis=2))
+                for row, added, is_present in zip(rows, columns_of(fitter, rows), present, strict=True)
             ]
     return rows
 
 
-def _velocity(segment: Segment) -> Array:
-    """Image velocity of the scored observations, (scored, 2) px/s."""
+def _image_velocity(segment: Segment) -> Array:
+    """Velocity of the observed marker in the image at the scored observations, (scored, 2) px/s."""
     velocity: Array = np.gradient(segment.observed, segment.arrival_s, axis=0)
     return velocity[segment.scored]
 
 
-def _lens(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
+def _lens_columns(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     """Columns (scored, 2, m) for each recording of any smooth lens distortion: Chebyshev products T_i(u) T_j(v), i + j
-    <= _LENS_ORDER, of the predicted image position (the observed one has noise in it), for either coordinate."""
+    <= _LENS_ORDER, once for either coordinate. u, v: the predicted image position, scaled to -1 .. 1 over all
+    recordings (the observed one has noise in it)."""
     seen = [s.observed[s.scored] - row.residual for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
     columns = []
@@ -100,10 +105,10 @@ def _lens(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     return columns
 
 
-def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
-    """Columns (scored, 2, m) for each recording of a tip that is elsewhere within its bending plane: the image of a
-    move along the plane's two directions, sideways and along the axis, each times Chebyshev polynomials of the bending
-    angle up to _PLANE_ORDER."""
+def _plane_columns(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
+    """Columns (scored, 2, m) for each recording of a tip displaced within its bending plane: the image of a move
+    sideways in the plane and of one along the axis, each times Chebyshev polynomials of the bending angle up to degree
+    _PLANE_ORDER."""
     angles = [row.path.c_deg[s.scored] for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
     columns = []
@@ -118,25 +123,25 @@ def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     return columns
 
 
-def _channel(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
+def _channel_columns(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     """Columns (scored, 2, m) for each recording of an instrument that rocks in its channel: the six rigid motions, each
-    times 1, the direction s = +-1 of motion, and s exp(-travel / L) for L in _TRAVELS, with the travel of the play's
-    centre p since the last reversal."""
+    times 1, s and s exp(-travel / L) for each L of _TRAVELS, in which s = +-1 is the direction of motion, and travel
+    the way of the play's centre p since the last reversal, as a share of the motor's range."""
     columns = []
     for segment, row in zip(fitter.segments, rows, strict=True):
         p = row.path.p
         index = np.arange(len(p))
         direction = np.sign(np.diff(p, prepend=p[0]))
         last_moving = np.maximum.accumulate(np.where(direction != 0, index, 0))
-        direction = direction[last_moving]  # at rest that of the motion before
+        direction = direction[last_moving]  # at rest the direction of the motion before
         # The first sample of each motion; the tip turned at the one before it.
         reversal = np.maximum.accumulate(np.where(np.diff(direction, prepend=direction[0]) != 0, index, 0))
         travel = np.abs(p - p[np.maximum(reversal - 1, 0)]) / fitter.model.rig.actuator.span
         settling = [np.exp(-travel / length) for length in _TRAVELS]
-        law = np.column_stack([np.ones(len(p)), direction, *(direction * s for s in settling)])[segment.scored]
+        law = np.column_stack([np.ones(len(p)), direction, *(direction * decay for decay in settling)])[segment.scored]
         motions = row.columns[:, :, STATIC_COLUMNS]
         columns.append(np.einsum("nki,nj->nkij", motions, law).reshape(len(law), motions.shape[1], -1))
     return columns
 
 
-_FREEDOM = {"lens": _lens, "plane": _plane, "channel": _channel}  # by `Kind.leaves`
+_FREEDOM = {"lens": _lens_columns, "plane": _plane_columns, "channel": _channel_columns}  # by `Kind.leaves`

@@ -25,16 +25,17 @@ _PLACES = 12  # tolerance: bins of the motor's position in which the load that a
 _SLOW_S = 0.5  # tolerance: s over which the load is averaged: faster changes are no change of load
 
 
-def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]:
-    """{drift's id: load dependence's id} where the two are confounded, as the recorded load changes just once: drift is
-    then not fitted, but reported with a share of load dependence's probability (`add_hidden`). Else {}."""
+def drift_hidden_by_load(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]:
+    """{drift's id: load dependence's id} where both are to be tried and the recorded load changes just once: the two
+    are then confounded, drift is not fitted, and it is reported with a share of load dependence's probability
+    (`add_hidden`). Otherwise {}."""
     both = {LOAD, DRIFT} <= {kind.id for kind in kinds}
     return {DRIFT: LOAD} if both and load_goes_with_time(segments) else {}
 
 
 def load_tells_apart(segments: Sequence[Segment]) -> bool:
     """Whether the recordings' median loads, mNm, differ by more than _DISTINCT times the load's standard deviation
-    within a recording: then an offset, width or f_remain of its own for each recording could imitate any effect of the
+    within a recording. An offset, width or f_remain of its own for each recording could then imitate any effect of the
     load. False where a recording has no load."""
     loads = [segment.motor.load_mNm for segment in segments]
     if any(load is None for load in loads):
@@ -45,9 +46,9 @@ def load_tells_apart(segments: Sequence[Segment]) -> bool:
 
 
 def add_hidden(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
-    """Adds the effects that were not fitted to the content of a diagnosis.json: as ambiguous with the fitted effect
-    that each is confounded with, and with a share _UNRECORDED_SHARE of its probability. hidden: {id of the effect that
-    was not fitted: id of the fitted one}."""
+    """Adds the effects that were not fitted to a diagnosis.json's content, changing `document`: each is listed as
+    ambiguous with the fitted effect that it is confounded with, and takes a share _UNRECORDED_SHARE of its probability.
+    hidden: {id of the effect that was not fitted: id of the fitted one}."""
     for name, fitted in hidden.items():
         for effect in document["effects"]:
             if effect["id"] == fitted:
@@ -61,9 +62,9 @@ def add_hidden(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
 
 
 def load_goes_with_time(segments: Sequence[Segment]) -> bool:
-    """Whether each recording has one of two constant loads, mNm, with one change between them over the session: then
-    load and time are confounded. A load that varies in step with the motor's motion counts as constant. False where a
-    recording has no load."""
+    """Whether load and time are confounded: each recording has one of two constant loads, mNm, and over the session the
+    load changes between them once. A load that varies only in step with the motor's motion counts as constant. False
+    where a recording has no load."""
     levels, variation = [], []
     for segment in sorted(segments, key=lambda recording: recording.end_s):
         load = segment.motor.load_mNm
@@ -83,8 +84,8 @@ def load_goes_with_time(segments: Sequence[Segment]) -> bool:
 
 
 def _load_variation_beside_motion(segment: Segment, load: np.ndarray) -> float:
-    """Standard deviation, mNm, of what the load does that its motion does not explain: less its mean at each place and
-    direction of the motor, averaged over _SLOW_S. load: (scored,), mNm."""
+    """Standard deviation, mNm, of the part of the load that the motor's motion does not explain: the load minus its
+    mean at each place and direction of the motor, averaged over _SLOW_S. load: (scored,), mNm."""
     t = segment.arrival_s[segment.scored]
     q = np.interp(t, segment.motor.t_s, segment.motor.q)
     direction = np.sign(np.gradient(q)) if len(q) > 1 else np.zeros_like(q)

@@ -21,14 +21,14 @@ from tautline.diagnosis.stacked import Stacked, brought_parts, log_sum
 Array = npt.NDArray[np.float64]
 
 FURTHER = 2.0 / 3.0  # loss: probability of a further effect from which it is named: a wrong one costs two missed ones
-_LARGEST_GROUP = 3  # format: effects at most of which one is said to be there
+_LARGEST_GROUP = 3  # format: most effects of a group of which one is said to be there
 MOVED = 0.2  # loss: share of what a recalibration closes, from which a part of the nominal model is named
 CLEARLY = 10.0  # loss: likelihood ratio, wrong effect's over right one's, from which an amplitude is said to vary
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Probabilities of what causes the gap, and what is named."""
+    """The probabilities of what causes the gap, and which effects are named."""
 
     none: float  # probability that nothing is there but noise and what a calibration leaves
     unknown: float  # probability that the cause is no effect of the library
@@ -45,18 +45,18 @@ class Decision:
 
     @property
     def name(self) -> str:
-        """Whichever is likeliest: "none", "unknown" or "effect" (any known one)."""
+        """The verdict with the largest probability: "none", "unknown" or "effect" (any known one)."""
         return max((self.none, "none"), (self.unknown, "unknown"), (sum(self.leading.values()), "effect"))[1]
 
     @property
     def ranked(self) -> list[str]:
-        """Ids of the effects, the likeliest to lead first."""
+        """Ids of the effects by their probability to lead, the largest first."""
         return sorted(self.leading, key=lambda name: -self.leading[name])
 
     def ambiguous(self, covers: float | None = None) -> list[str]:
-        """The smallest set of effects whose probabilities of leading sum to a share `covers` of all effects' sum, the
-        likeliest first: what the recordings cannot tell apart. covers: default the learnt level, with which the set
-        holds the right effect in 95 % of cases."""
+        """The effects that the recordings cannot tell apart: the smallest set whose probabilities to lead sum to at
+        least a share `covers`, 0 to 1, of the sum over all effects; the likeliest first. covers: by default the learnt
+        level, with which the set holds the right effect in 95 % of cases."""
         covers = learnt().covers if covers is None else covers
         total, held = sum(self.leading.values()), 0.0
         names: list[str] = []
@@ -69,8 +69,8 @@ class Decision:
 
 
 def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
-    """The probabilities of none, of unknown and of each effect to lead, and which effects are named. learned: the
-    hyperparameters, by default those of the package."""
+    """Works out the verdict: probabilities of none, of unknown and of each effect to lead, and which effects are named.
+    learned: the hyperparameters, by default those of the package."""
     learned = learned or learnt()
     case = Stacked(evidence)
     likelihoods = Likelihoods(case, learned.center)
@@ -83,7 +83,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
             leading[likelihoods.leader(key, best)] += float(p[i])
 
     by_set = {key: float(p[i]) for key, i in best.items()}
-    named, probability, alternatives = _named(leading, by_set)
+    named, probability, alternatives = _effects_to_name(leading, by_set)
     parts = brought_parts(named)
     causes = {name: sure for name, sure in zip(named, probability, strict=True) if name not in parts}
     return Decision(
@@ -102,12 +102,12 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
     )
 
 
-def _named(
+def _effects_to_name(
     leading: Mapping[str, float], by_set: Mapping[frozenset[str], float]
 ) -> tuple[list[str], list[float], list[str]]:
-    """(The effects to name, the probability of each given those before it, the alternatives to the last one): the one
-    likeliest to lead, then further ones by `_next_to_name`. leading: probability of each effect to lead; by_set: of
-    each set of effects."""
+    """(The effects to name, the probability of each given those before it, the alternatives to the last one). The first
+    is the effect that is likeliest to lead; `_next_to_name` gives further ones, until it gives none, or a group of
+    alternatives. leading: {effect: probability to lead}; by_set: {set of effects: probability}."""
     if not leading:
         return [], [], []
     named = [max(leading, key=lambda name: leading[name])]
@@ -115,7 +115,7 @@ def _named(
     alternatives: list[str] = []
     while not alternatives:
         given = {key: value for key, value in by_set.items() if set(named) <= key}
-        further, *alternatives = _next_to_name(given, named)
+        further, *alternatives = _next_to_name(given, named)  # alternatives end the search
         if not further:
             break
         named.append(further)
@@ -124,9 +124,9 @@ def _named(
 
 
 def _next_to_name(given: Mapping[frozenset[str], float], named: Sequence[str]) -> tuple[str, ...]:
-    """The next effect to name beside those named: one whose conditional probability reaches FURTHER, or the smallest
-    group of which one is there with that probability, the likeliest first; ("",) where there is none. given: the
-    probability of each set of effects that contains those named."""
+    """The next effect to name: the likeliest further one, if its probability given those named reaches FURTHER;
+    otherwise that effect with one or two others, if at least one of the group is there with that probability; ("",) if
+    neither. given: probability of each set of effects that contains all of those named."""
     total = sum(given.values())
     likely = dict.fromkeys((name for key in given for name in sorted(key) if name not in named), 0.0)
     for key, value in given.items():
@@ -141,8 +141,8 @@ def _next_to_name(given: Mapping[frozenset[str], float], named: Sequence[str]) -
 
 
 def _count_probabilities(case: Stacked, p: Array) -> tuple[float, ...]:
-    """Probabilities of 0, 1, 2 and at least 3 effects; an unknown one counts as one. p: (hypotheses + 1,), posterior of
-    each hypothesis and last of an unknown cause."""
+    """(4,) Probabilities of 0, 1, 2 and of 3 or more effects; an unknown cause counts as one effect. p: (hypotheses +
+    1,), posterior of each hypothesis and, last, of an unknown cause."""
     effects = [min(len(case.leaders[key]), 3) for key in case.sets]
     count = np.bincount(effects, p[:-1], minlength=4)
     count[1] += p[-1]
@@ -150,7 +150,7 @@ def _count_probabilities(case: Stacked, p: Array) -> tuple[float, ...]:
 
 
 def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[float, float, float]:
-    """Probabilities of none, of unknown and of `effect` to lead, as `decide` finds them with these hyperparameters."""
+    """(Probability of none, of unknown, of `effect` to lead), as `decide` finds them with these hyperparameters."""
     likelihoods = Likelihoods(case, hyper)
     p, best = _posterior(likelihoods)[0], likelihoods.best
     leads = (float(p[i]) for key, i in best.items() if effect in key and likelihoods.leader(key, best) == effect)
@@ -177,10 +177,10 @@ def _posterior(likelihoods: Likelihoods) -> tuple[Array, float, float]:
 
 
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: Learnt | None = None) -> Decision:
-    """The verdict where a recalibration closes the gap: parts of the nominal model are the cause, and those with a
-    share of at least MOVED are named. They take the probability of unknown, but for the share in which they may imitate
-    it, each as one parameter (`Hyperparameters.mimicked`). parts: (id, share of what the recalibration closes);
-    learned: as in `decide`."""
+    """The verdict for a gap that a recalibration closes: the parts of the nominal model that moved are its cause. They
+    take over the probability of unknown, except for the chance that they only imitate another cause, each counting as
+    one parameter (`Hyperparameters.mimicked`). Named are those with a share of at least MOVED. parts: (id, share of
+    what the recalibration closes, 0 to 1); learned: as in `decide`."""
     certain = 1.0 - float((learned or learnt()).center.mimicked(len(parts)))
     taken = certain * verdict.unknown
     leading = dict(verdict.leading)
@@ -200,13 +200,13 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: L
 
 
 def wanders(evidence: CaseEvidence) -> list[bool]:
-    """For each hypothesis, whether the amplitude of one of its effects varies over place, speed, time, side or load so
-    much that a wrong effect is CLEARLY times likelier than a right one."""
+    """For each hypothesis whether the amplitude of one of its effects varies over place, speed, time, side or load so
+    much that it is more than CLEARLY times likelier as a wrong effect's than as a right one's."""
     log_ratios = Likelihoods(Stacked(evidence), learnt().center).log_ratio_of_steadiness  # right over wrong
     return [bool(log_ratio < -np.log(CLEARLY)) for log_ratio in log_ratios]
 
 
 def is_open(evidence: CaseEvidence, power: Array | float) -> bool:
-    """Whether a fit leaves more than noise and what a sound calibration leaves: mean power > (1 + calibration_excess)
-    floor^2. power: mean squares of the residuals, px^2 or deg^2, one number or (blocks,)."""
+    """Whether a fit leaves more than the sensor's noise and what a sound calibration leaves: its mean power exceeds (1
+    + calibration_excess) floor^2. power: mean squares of the residuals, px^2 or deg^2, one number or (blocks,)."""
     return float(np.mean(power)) > (1.0 + learnt().center.calibration_excess) * evidence.floor**2

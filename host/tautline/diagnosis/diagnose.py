@@ -52,22 +52,23 @@ class Diagnosis(Value):
 
     @property
     def verdict(self) -> Literal["effect", "none", "unknown"]:
-        """Whether the gap has a known cause, there is none, or its cause is unknown."""
+        """ "effect" where the gap has a known cause, "none" where there is no gap, "unknown" where its cause is
+        unknown."""
         return cast(Literal["effect", "none", "unknown"], self.document["verdict"])
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is named, in the order it was added."""
+        """The named effects, in the order in which diagnosis.json lists them."""
         return tuple(map(Finding.of, self.document["effects"]))
 
     @property
     def gap(self) -> Gap:
-        """The size of the gap before and after, in the observations' unit."""
+        """The sizes of the gap before and after the correction, rms in the observations' unit, px or deg."""
         return Gap.of(self.document)
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """The probability of each effect to be the main cause, the likeliest first, and of "none" and "unknown"; they
+        """{effect's id: probability to be the main cause}, the likeliest first, followed by "none" and "unknown"; they
         sum to 1."""
         leading = {entry["id"]: float(entry["probability"]) for entry in self.document["candidates"]}
         return {**leading, "none": self.document["probability_none"], "unknown": self.document["probability_unknown"]}
@@ -81,11 +82,11 @@ def diagnose(
     left_out: Collection[str] = (),
     simulated: SimulatedNominal | None = None,
 ) -> Diagnosis:
-    """Which effect explains the gap between a calibrated model and later recordings. model: what `calibration` gave;
-    the search begins without the effects that it carries, and `corrected` keeps them where none is named that a model
-    holds. progress: called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to
-    try. simulated: if a user's simulator stands in the motor's place. Raises TautError where no observation can be
-    scored."""
+    """Finds which effect explains the gap between a calibrated model and later recordings. model: calibrated on
+    `calibration`; the search begins without the effects that it carries, and `corrected` is the model with these
+    effects where nothing is named. progress: called with the share that is done, 0 to 1, and what is done now.
+    left_out: ids of effects not to try. simulated: given where a user's simulator stands in the motor's place. Raises
+    TautError where no observation can be scored."""
     with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
         return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
@@ -98,13 +99,14 @@ def _diagnosis(
     left_out: Collection[str],
     simulated: SimulatedNominal | None,
 ) -> Diagnosis:
-    """As `diagnose`. In this order: recordings prepared, the tracker's error taken off, hypotheses fitted, the verdict,
-    effects that the calibration has swallowed, the document."""
+    """As `diagnose`, step by step: prepares the recordings and takes the tracker's error off, fits hypotheses, decides
+    (looking also for effects that the calibration has swallowed), writes the document, and makes the corrected
+    model."""
     progress(0.0, "preparing")
-    ready = _prepared(calibrated.alone, calibration, tests, left_out, simulated)
-    weighed = _weighed(ready, progress, left_out, simulated)
+    ready = _prepare(calibrated.alone, calibration, tests, left_out, simulated)
+    weighed = _fit_and_decide(ready, progress, left_out, simulated)
     progress(_PREPARING + _FITTING + _STARTING, "attributing")
-    found = _found(ready, weighed)
+    found = _collect(ready, weighed)
     model, segments, load_mNm = found.model, found.segments, found.fitter.load_reference
     document = to_document(found, ready.hidden)
     repeated.add_repeats(document, model, segments, load_mNm)
@@ -112,7 +114,7 @@ def _diagnosis(
         resembles.closest_effects(found.gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )
     progress(1.0, "done")
-    corrected = _corrected(found.chosen.fit, found.latest) if found.named else calibrated
+    corrected = _corrected_model(found.chosen.fit, found.latest) if found.named else calibrated
     corrected = replace(corrected, extra=model.extra, load_reference_mNm=load_mNm)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
@@ -133,7 +135,7 @@ def _diagnosis(
 
 @dataclass(frozen=True)
 class _Prepared:
-    """What hypotheses are fitted to, and which."""
+    """The recordings' fitter, the models and effects to try: all that is needed before hypotheses are fitted."""
 
     model: Model  # as calibrated, without effects
     fitter: Fitter  # with its noise floor
@@ -146,65 +148,67 @@ class _Prepared:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """The hypotheses that were fitted, and the verdict on them."""
+    """The fitted hypotheses and the verdict on them."""
 
     fitter: Fitter
     gathered: Gathered
     verdict: decide.Decision
 
 
-def _prepared(
+def _prepare(
     model: Model,
     calibration: Recording,
     tests: Sequence[Recording],
     left_out: Collection[str],
     simulated: SimulatedNominal | None,
 ) -> _Prepared:
-    """Recordings as segments, less the tracker's error, with their noise floor, and the effects to try. model: without
-    effects; further arguments as of `diagnose`."""
+    """Makes segments of the recordings, takes the tracker's error off them, estimates their noise floor, fits the
+    recalibrated nominal model, and selects the effects to try. model: without effects; further arguments as of
+    `diagnose`."""
     load_mNm = load_reference(calibration)
     segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
     if repeated.HELD in left_out:
         segments = [segment.with_repeats() for segment in segments]
     tracked = tracker.of_videos(model, segments, load_mNm, [calibration, *tests])
     fitter, frozen = _fitter_and_residuals(model, tracked.segments if tracked else segments, load_mNm, simulated)
-    base = _recalibrated(fitter, frozen, tracked)
+    base = _recalibrate(fitter, frozen, tracked)
     fitter.floor = _noise_floor(fitter, frozen[0], base, tracked.noise if tracked else 0.0)
     if simulated is None:
         fitter.noisier = gap.noise_change(fitter.segments, fitter.across(base))
     kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
-    hidden = confounded.hidden(kinds, fitter.segments)
+    hidden = confounded.drift_hidden_by_load(kinds, fitter.segments)
     return _Prepared(model, fitter, tracked, frozen, base, [kind for kind in kinds if kind.id not in hidden], hidden)
 
 
-def _weighed(
+def _fit_and_decide(
     ready: _Prepared, progress: Progress, left_out: Collection[str], simulated: SimulatedNominal | None
 ) -> _Weighed:
-    """All hypotheses fitted, and the verdict. Where nothing that came later is the cause: of what was there while
-    calibrating, which the calibration has swallowed, if that names an effect. Arguments as of `diagnose`."""
+    """Fits all hypotheses and decides. Where no effect after the calibration is named and there is no simulator,
+    effects that were there while calibrating are looked for too, if the calibration gives reason to; their result is
+    returned instead if it names an effect. Arguments as of `diagnose`."""
 
-    def of_fits(done: float, text: str) -> None:
-        """The progress of the fits as that of all."""
+    def report_fits(done: float, text: str) -> None:
+        """Reports the progress of the fits as a part of the whole diagnosis."""
         progress(_PREPARING + _FITTING * done, text)
 
-    def of_start(done: float, text: str) -> None:
-        """The progress of the fits of effects from the start as that of all."""
+    def report_start(done: float, text: str) -> None:
+        """Reports the progress of the fits of effects from the start as a part of the whole diagnosis."""
         progress(_PREPARING + _FITTING + _STARTING * done, text)
 
     model, fitter, tracked = ready.model, ready.fitter, ready.tracked
-    gathered = gather(fitter, ready.frozen, ready.base, ready.kinds, of_fits)
+    gathered = gather(fitter, ready.frozen, ready.base, ready.kinds, report_fits)
     verdict = decide.decide(gathered.evidence)
     asked = start.concerns(model) or decide.is_open(gathered.evidence, gathered.evidence.calibrated)
     if verdict.name != "effect" and simulated is None and asked:
-        from_start = start.of_segments(model, fitter.segments, fitter.load_reference, tracked, of_start, left_out)
+        from_start = start.of_segments(model, fitter.segments, fitter.load_reference, tracked, report_start, left_out)
         if from_start.named:
             return _Weighed(from_start.fitter, from_start.gathered, from_start.verdict)
     return _Weighed(fitter, gathered, verdict)
 
 
-def _found(ready: _Prepared, weighed: _Weighed) -> Found:
-    """What a document is made of: the verdict with the parts of the nominal model that moved, and the hypothesis that
-    was chosen."""
+def _collect(ready: _Prepared, weighed: _Weighed) -> Found:
+    """Collects what a document is made of: the verdict, completed by the parts of the nominal model that moved, and the
+    hypothesis that it chooses."""
     fitter, gathered, frozen, base = weighed.fitter, weighed.gathered, ready.frozen, ready.base
     verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, weighed.verdict)
     return Found(
@@ -225,9 +229,9 @@ def _found(ready: _Prepared, weighed: _Weighed) -> Found:
 def _fitter_and_residuals(
     model: Model, segments: list[Segment], load_mNm: float, simulated: SimulatedNominal | None
 ) -> tuple[Fitter, list[Array]]:
-    """A fitter of these recordings, and the residuals (scored, k) of each by the calibrated model as it is. load_mNm:
-    at which the model's tables hold. A simulator's own recording, segments[0], is given white noise of the robot's
-    sensor."""
+    """(A fitter of these recordings, residuals (scored, k) of each by the calibrated model as it is). load_mNm: at
+    which the model's tables hold. With a simulator, white noise of the robot's sensor is added to segments[0], which is
+    the simulator's own recording and has none."""
     fitter = Fitter(model, segments, load_mNm)
     frozen = fitter.residuals(fitter.start(), fitter.no_effect)
     if simulated is None:
@@ -237,10 +241,10 @@ def _fitter_and_residuals(
     return fitter, fitter.residuals(fitter.start(), fitter.no_effect)
 
 
-def _recalibrated(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
-    """The recalibrated nominal model's fit, weighed by a first noise floor, of the sensor at rest or else by what the
-    calibrated model leaves: `frozen`, (scored, k) of each recording. Sets that floor, and what tracked videos say of
-    how certain and how steady it is."""
+def _recalibrate(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
+    """Fits the recalibrated nominal model. Sets the fitter's `floor` first: the larger of the noise at rest or in what
+    the calibrated model leaves (`frozen`, (scored, k) of each recording) and the tracker's noise; with tracked videos
+    also its `doubt` and `unsteady`."""
     fitter.floor = max(gap.noise_floor(fitter.segments, frozen), tracked.noise if tracked else 0.0)
     if tracked is not None:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
@@ -248,10 +252,11 @@ def _recalibrated(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError
 
 
 def _noise_floor(fitter: Fitter, of_calibration: Array, base: Fit, moving: float) -> float:
-    """The noise floor, px or deg, by what `base` leaves at rest. A rest in which the tip goes on moving overestimates
-    it: what the calibrated model leaves of its own calibration, `of_calibration` (scored, k), bounds it if that is
-    clearly less. A simulator's calibration leaves nothing, so that this bound is no less than the least noise and the
-    tests' own white noise. moving: the noise of a moving marker in tracked videos, below which the floor never is."""
+    """The noise floor, px or deg. It is estimated at rest from what `base` leaves; where the tip creeps at rest this is
+    too large. So a bound replaces it that is clearly less (below a share _NO_NOISE): what the calibrated model leaves
+    of its own calibration, `of_calibration` (scored, k), but no less than the least noise and the tests' white noise,
+    as a simulator's calibration leaves nothing. The result is never below `moving`, the noise of a moving marker in
+    tracked videos."""
     segments, relative = fitter.segments, fitter.relative_noise
     at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base), relative)
     of_tests = [left / times for left, times in zip(base.residuals[1:], relative[1:], strict=True)]
@@ -263,8 +268,8 @@ def _noise_floor(fitter: Fitter, of_calibration: Array, base: Fit, moving: float
 def _with_moved_parts(
     fitter: Fitter, frozen: Sequence[Array], base: Fit, gathered: Gathered, verdict: decide.Decision
 ) -> tuple[decide.Decision, list[Moved]]:
-    """(Verdict, parts of the nominal model that moved): where no effect explains the gap but a recalibration closes it,
-    the parts that it moved are named; else the verdict as it is, and no parts."""
+    """(Verdict, parts of the nominal model that moved). Where the verdict is unknown but a recalibration closes the
+    gap, the parts that it moved are named; else the verdict is returned as it is, with no parts."""
     before, recalibrated = gap.rms(frozen[1:]), gap.rms(base.residuals[1:])
     still_open = decide.is_open(gathered.evidence, recalibrated**2)
     swallowed = moved.closes_all(before, recalibrated, fitter.floor, still_open, learnt().center.unexplained_by_law)
@@ -275,9 +280,9 @@ def _with_moved_parts(
 
 
 def _chosen_candidate(fitter: Fitter, frozen: list[Array], gathered: Gathered, verdict: decide.Decision) -> Candidate:
-    """The hypothesis of what is named. Where its path has none of it (events only, or parts of the nominal model) and
-    its recalibrated nominal model does not surely leave less than the calibrated one, it is put on the calibrated one
-    instead."""
+    """The fitted hypothesis of what is named. If its path contains none of the named effects (events only, or parts of
+    the nominal model), its recalibrated nominal model is replaced by the calibrated one, unless it shrinks the gap with
+    a probability of at least gap.SURELY."""
     chosen = gathered.candidates[verdict.chosen]
     if verdict.name != "effect" or not verdict.named or chosen.predicts_an_effect:
         return chosen
@@ -286,9 +291,9 @@ def _chosen_candidate(fitter: Fitter, frozen: list[Array], gathered: Gathered, v
     return chosen.with_nominal(fitter.start(), frozen)
 
 
-def _corrected(fit: Fit, last: Segment) -> Model:
-    """The fitted model with its effects, in the state at the end of the recording `last`: a shift has happened, a drift
-    has gone so far."""
+def _corrected_model(fit: Fit, last: Segment) -> Model:
+    """The fitted model with its effects, in its state at the end of the recording `last`: shifts until then have
+    happened, and a drift has gone on until then. Effects that tables, rig or delay hold are put into these."""
     model = fit.state.model
     model = with_registration(replace(model, c_deg=monotone(model.c_deg)), fit.state.static)
     values = fit.state.at(last, fit.hypothesis)

@@ -36,8 +36,8 @@ _AS_LARGE, _SAID = 0.5, 3  # format: share of the largest condition from which a
 
 @dataclass(frozen=True)
 class Found:
-    """All hypotheses of a diagnosis, and the one that was chosen. Residuals are (scored, k) of each recording, the
-    calibration first."""
+    """All that a document is made of: the hypotheses of a diagnosis, and the one that was chosen. Residuals are
+    (scored, k) of each recording, the calibration first."""
 
     model: Model  # as calibrated
     segments: Sequence[Segment]
@@ -58,7 +58,8 @@ class Found:
 
     @property
     def latest(self) -> Segment:
-        """The test that ends last, in whatever order they were given: what is handed out holds at its end."""
+        """The test that ends last, whatever the order in which the tests were given; the corrected model holds at its
+        end."""
         return max(self.tests, key=lambda test: test.end_s)
 
     @property
@@ -68,12 +69,13 @@ class Found:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Ids of the named effects, the leading one first; () unless the verdict is an effect."""
+        """Ids of the named effects, the leading one first; () unless the verdict is "effect"."""
         return self.verdict.named if self.verdict.name == "effect" else ()
 
     @property
     def after(self) -> Sequence[Array]:
-        """Held-out residuals of the tests with what is named, (scored, k) each; `before` where nothing is named."""
+        """Held-out residuals of the tests by the chosen hypothesis, (scored, k) each; `before` where nothing is
+        named."""
         return self.chosen.held_out[1:] if self.named else self.before
 
     @property
@@ -83,25 +85,26 @@ class Found:
 
     @cached_property
     def conditions(self) -> list[where.Condition]:
-        """How the gap goes with position, speed, time and so on, the largest share first; without time where what is
-        named does not depend on it. [] where the model foretells every reading to the last digit."""
+        """How the gap varies with position, speed, time and so on, the largest share first. Time is left out where
+        effects are named and none of them depends on it. [] where the residuals are exactly zero."""
         if gap.rms(self.before) == 0.0:
             return []
-        every = where.conditions(self.tests, self.before)
+        all_conditions = where.conditions(self.tests, self.before)
         if self.verdict.name == "effect" and not _depends_on_time(self.chosen.fit, self.named):
-            return [condition for condition in every if condition.axis != "time"]
-        return every
+            return [condition for condition in all_conditions if condition.axis != "time"]
+        return all_conditions
 
     @cached_property
     def next_motion(self) -> motion.NextMotion | None:
-        """The motion that is expected to tell most about what is right; None where no effect has a path."""
+        """The motion that is expected to tell most about which hypothesis is right; None where no effect with a path
+        was fitted."""
         rivals = _rivals(self.gathered, self.verdict)
-        return motion.best(self.fitter, rivals) if rivals else None
+        return motion.plan_best_motion(self.fitter, rivals) if rivals else None
 
     @cached_property
     def gap(self) -> dict[str, Any]:
-        """The object `gap` of diagnosis.json: rms before and after with their intervals, px or deg, and what shrinks;
-        nothing shrinks where nothing is named."""
+        """The object `gap` of diagnosis.json: rms before and after with their intervals, px or deg, and the shrinkage.
+        Where nothing is named, after equals before, and the shrinkage and its interval are 0."""
         goes_with_time = any(effects.BY_ID[name].course for name in self.named)
         excess = learnt().later if goes_with_time else learnt().elsewhere
         sizes = gap.with_intervals(self.before, self.after, self.tests, self.floor, excess)
@@ -109,15 +112,16 @@ class Found:
 
     @cached_property
     def by_gaussian_process(self) -> flexible.Flexible | None:
-        """How much of what is left a Gaussian process would predict; None where only noise is left."""
+        """How much of what is left a Gaussian process would predict; None where only noise is left, or there are too
+        few observations."""
         still_open = decide.is_open(self.gathered.evidence, self.gap["after"] ** 2)
-        return flexible.close(self.tests, self.after, self.floor) if still_open else None
+        return flexible.cross_validate(self.tests, self.after, self.floor) if still_open else None
 
 
 def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
-    """The content of diagnosis.json, but for what repeated samples, the tip and a simulator add. hidden: {id of an
-    effect that was not fitted: id of the one it is confounded with}."""
-    shares, parts = _shares(found)
+    """Builds the content of diagnosis.json, except for what repeated samples, the tip and a simulator add to it later.
+    hidden: {id of an effect that was not fitted: id of the one it is confounded with}."""
+    shares, parts = _shares_and_moved_parts(found)
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": found.segments[0].unit,
@@ -128,9 +132,11 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "calibration_leaves": float(np.sqrt(found.gathered.evidence.calibrated)),  # of its own recording, rms
         "tracker": found.tracked.to_json() if found.tracked else None,  # of videos: the noise of a moving marker
         "flexible": found.by_gaussian_process.to_json() if found.by_gaussian_process else None,
-        "effects": _effects(found, shares),
-        "moved": [{"id": part.id, "share": part.share, "since": _since(found, part.id).since} for part in parts],
-        "candidates": _candidates(found),
+        "effects": _effect_entries(found, shares),
+        "moved": [
+            {"id": part.id, "share": part.share, "since": _reported_scope(found, part.id).since} for part in parts
+        ],
+        "candidates": _candidate_entries(found),
         "probability_none": found.verdict.none,
         "probability_unknown": found.verdict.unknown,
         "unknown_from_start": found.verdict.early,  # share of it
@@ -138,7 +144,7 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "noisier": float(np.exp(found.gathered.evidence.noisier)),  # times the calibration's noise
         "count": list(found.verdict.count),
         "where": {
-            "stage": _stage(found.verdict),
+            "stage": _likeliest_stage(found.verdict),
             "conditions": [condition.to_json() for condition in found.conditions[:_CONDITIONS]],
         },
         "signature": _signature(found),
@@ -148,9 +154,10 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
     return document
 
 
-def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
-    """({id of each named cause: how much it shrinks the gap's rms, as a share of the rms before}, the parts of the
-    nominal model that moved, where these alone close the gap)."""
+def _shares_and_moved_parts(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
+    """({id of each named cause: by how much it shrinks the gap's rms, as a share of the rms before}, the parts of the
+    nominal model that moved). The parts are those of the verdict, or, where all named effects are parts of the nominal
+    model and close the gap, these; otherwise ()."""
     if found.parts:
         return {part.id: part.share * found.gap["shrink"] for part in found.parts}, found.parts
     named = found.named
@@ -162,8 +169,9 @@ def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
     return shrinks, ()
 
 
-def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
-    """The list `effects` of diagnosis.json. shares: how much each named cause shrinks the gap, by id."""
+def _effect_entries(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
+    """The list `effects` of diagnosis.json, one entry for each named effect. shares: by how much each named cause
+    shrinks the gap, by id; the share of an effect includes those of the parts of the nominal model that it brings."""
     fit, ambiguous = found.chosen.fit, found.verdict.ambiguous()
     brought = {
         name: [part for part in found.verdict.brought if part in effects.BY_ID[name].brings] for name in found.named
@@ -173,22 +181,23 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
         {
             "id": name,
             "probability": probability,
-            "since": _since(found, name).since,
+            "since": _reported_scope(found, name).since,
             "parameters": values[name],
             **_values_by_recording(fit, name, found.segments),
-            **_brings(brought[name], shares),
+            **_brings_entry(brought[name], shares),
             "shrink": shares[name] + sum(shares[part] for part in brought[name]),
             "swallowed_by_recalibration": moved.closes(found.gap["before"], found.recalibrated, found.floor),
             "loads_on_board": effects.BY_ID[name].on_board,
-            "ambiguous_with": _alternatives(found.verdict, name, ambiguous),
+            "ambiguous_with": _ambiguous_with(found.verdict, name, ambiguous),
         }
         for name, probability in zip(found.named, found.verdict.probability, strict=False)
     ]
 
 
-def _candidates(found: Found) -> list[dict[str, Any]]:
-    """The list `candidates` of diagnosis.json: every effect that was fitted, the likeliest to lead first, then those
-    that the linear screening left out. One is identifiable that no other may well be instead (`Decision.ambiguous`)."""
+def _candidate_entries(found: Found) -> list[dict[str, Any]]:
+    """The list `candidates` of diagnosis.json: the effects of the fitted hypotheses, the likeliest to lead first, then
+    the effects that the linear screening left out. An effect is identifiable if it is not among those that the
+    recordings cannot tell apart (`Decision.ambiguous`), or is the only one there."""
     verdict, best, before = found.verdict, best_of_each(found.gathered), found.gap["before"]
     ambiguous = verdict.ambiguous()
     names = [*verdict.ranked, *(kind.id for kind in found.kinds if kind.id not in verdict.leading)]
@@ -204,7 +213,7 @@ def _candidates(found: Found) -> list[dict[str, Any]]:
 
 
 def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
-    """{id of an effect: of its hypotheses without other effects the one with the least held-out power}."""
+    """{id of an effect: the hypothesis of this effect alone with the smallest mean held-out power}."""
     best: dict[str, Candidate] = {}
     for candidate in gathered.candidates:
         if len(candidate.ids) == 1:
@@ -215,8 +224,8 @@ def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
 
 
 def _next_motion(found: Found) -> dict[str, Any] | None:
-    """The object `next_motion`: what it is in words, its file, the nats that are open and those it is expected to
-    tell."""
+    """The object `next_motion` of diagnosis.json: the motion in words, its file, and in nats what is open and what the
+    motion is expected to tell of it. None where there is no such motion."""
     following = found.next_motion
     if following is None:
         return None
@@ -225,8 +234,8 @@ def _next_motion(found: Found) -> dict[str, Any] | None:
 
 
 def _rivals(gathered: Gathered, verdict: decide.Decision) -> Rivals | None:
-    """What the next motion is to tell apart: the likeliest hypotheses with a path, none, and an unknown cause. None
-    where no effect with a path was fitted."""
+    """The hypotheses that the next motion is to tell apart: the _RIVALS likeliest with effects, all of which have a
+    path, beside no effect and an unknown cause. None where no effect with a path was fitted."""
     of_effects = [
         (float(p), candidate)
         for p, candidate in zip(verdict.posterior, gathered.candidates, strict=True)
@@ -240,16 +249,18 @@ def _rivals(gathered: Gathered, verdict: decide.Decision) -> Rivals | None:
     return Rivals.of(fits, probability, likeliest[0][1].parameters)
 
 
-def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str]) -> list[str]:
-    """Effects that may be there in the place of the named one (`ambiguous_with`). ambiguous: those that cannot be told
-    from the leading effect."""
+def _ambiguous_with(verdict: decide.Decision, name: str, ambiguous: Sequence[str]) -> list[str]:
+    """The list `ambiguous_with` of a named effect: for the leading one the other effects of `ambiguous`, for the last
+    one the verdict's alternatives, for those between none. ambiguous: ids that cannot be told from the leading
+    effect."""
     if name == verdict.named[0]:
         return [other for other in ambiguous if other != name]
     return list(verdict.alternatives) if name == verdict.named[-1] else []
 
 
-def _stage(verdict: decide.Decision) -> str | None:
-    """The stage whose effects together are likeliest to lead; None where nothing is there, or none of them leads."""
+def _likeliest_stage(verdict: decide.Decision) -> str | None:
+    """The stage with the largest probability to contain the leading effect; None where the verdict is none, or no
+    effect has any probability to lead."""
     if verdict.name == "none" or not any(verdict.leading.values()):
         return None
     stages: dict[str, float] = {}
@@ -260,8 +271,8 @@ def _stage(verdict: decide.Decision) -> str | None:
 
 
 def _shapley(found: Found, named: Sequence[str]) -> list[float]:
-    """Each named effect's exact Shapley share of the shrinkage 1 - after / before of the rms. The worth of a set of
-    effects is the shrinkage by its own fit, or, if it was not fitted, by the chosen fit with the amplitudes of all
+    """The exact Shapley share of each effect of `named` in the shrinkage 1 - after / before of the rms. A set of
+    effects is worth the shrinkage by its own fit or, if it was not fitted, by the chosen fit with the amplitudes of all
     other effects at zero; the empty set is worth 0."""
     chosen, before = found.chosen, gap.rms(found.before)
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
@@ -272,7 +283,7 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
     known[frozenset(named)] = gap.shrinkage(before, gap.rms(chosen.held_out[1:]))
 
     def worth(names: frozenset[str]) -> float:
-        """Shrinkage of the rms, 1 - after / before, with these effects alone."""
+        """Shrinkage of the rms, 1 - after / before, with this set of effects alone."""
         if names in known:
             return known[names]
         # An event's amount is off in any case: the simulation would draw a random course of it.
@@ -284,50 +295,52 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
     return shapley.shares(named, worth)
 
 
-def _scope(fit: Fit, name: str) -> Scope:
-    """Since when a named effect is there in the fit; START for a part of the nominal model that moved throughout."""
+def _scope_in_fit(fit: Fit, name: str) -> Scope:
+    """Since when a named effect is there in this fit; START if the fit is without it, as it is for a part of the
+    nominal model that moved in all recordings."""
     present = fit.hypothesis.find(name)
     return present[1] if present else Scope.START
 
 
-def _since(found: Found, name: str) -> Scope:
-    """Since when a named effect is there, as reported: as in the fit, but TESTS for a shift or slip whose moments all
-    lie after the calibration's end."""
+def _reported_scope(found: Found, name: str) -> Scope:
+    """Since when a named effect is there, as it is reported: as in the fit, except that a shift or slip whose moments
+    all lie after the calibration's end counts as TESTS."""
     fit = found.chosen.fit
     present = fit.hypothesis.find(name)
     moments_s = [fit.state.values[moment] for moment in present[0].moments] if present else []
     after_calibration = bool(moments_s) and min(moments_s) > found.segments[0].end_s
-    return Scope.TESTS if after_calibration else _scope(fit, name)
+    return Scope.TESTS if after_calibration else _scope_in_fit(fit, name)
 
 
 def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
-    """Whether a named effect is a function of the session's time (drift, shift, slip) or of the recording; if none is,
+    """Whether a named effect is a function of the session's time (drift, shift, slip) or of the recording. If none is,
     the gap varies with time only because the motions do."""
     kinds = [effects.BY_ID[name] for name in named]
-    return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
+    return any(k.course or k.scan == "moment" or _scope_in_fit(fit, k.id) == Scope.EACH for k in kinds)
 
 
 def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
-    """The object `parameters` of a named effect in diagnosis.json: its fitted values by name, in their own units (where
-    each recording has its own, those of the `latest`; of the nominal registration that moved, its own), and
-    since_calibration, 0 or 1."""
+    """The object `parameters` of a named effect in diagnosis.json: its fitted values by name, in their own units, the
+    name of a column that it follows, and since_calibration, 0 or 1. Where each recording has its own values, those of
+    `latest` are given; where the fit is without the effect, those of the nominal model's registration."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     own = {p.name for p in kind.parameters if scope == Scope.EACH and not p.searched}
     keys = {p.name: key(p.name, latest.number) if p.name in own else p.name for p in kind.parameters}
-    reported = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
+    reported = {parameter: float(values[value_key]) for parameter, value_key in keys.items() if value_key in values}
     column = {effects.COLUMN: kind.column} if kind.column else {}
     return {**reported, **column, "since_calibration": float(bool(scope))}
 
 
-def _brings(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]:
-    """{"brings": the parts of the nominal model that a named effect changed too, each with what it shrinks}, or {}; the
-    effect's own share includes these."""
+def _brings_entry(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]:
+    """{"brings": [{id of a part of the nominal model that a named effect changed too, by how much this part shrinks the
+    gap}]}; {} without such parts. These shares are included in the effect's own."""
     return {"brings": [{"id": part, "shrink": shares[part]} for part in parts]} if parts else {}
 
 
 def _values_by_recording(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
-    """{"recordings": name and amplitudes of each test} of an effect that has its own in each; else {}."""
+    """{"recordings": [{name of a test, the effect's amplitudes in it}]} for an effect that has amplitudes of its own in
+    each test; {} for others."""
     present = fit.hypothesis.find(name)
     if present is None or present[1] != Scope.EACH:
         return {}
@@ -341,8 +354,8 @@ def _values_by_recording(fit: Fit, name: str, segments: Sequence[Segment]) -> di
 
 
 def _signature(found: Found) -> str | None:
-    """Under which conditions the gap is largest, in words, for an unknown cause and for a drift, whose name says only
-    when; else None."""
+    """The conditions under which the gap is largest, in words. Only for an unknown cause, and for a drift, whose name
+    does not say more than when the gap grows; else None."""
     conditions = found.conditions
     if not conditions or not (found.verdict.name == "unknown" or confounded.DRIFT in found.named):
         return None

@@ -23,8 +23,8 @@ _UNCORRELATED = 0.05  # tolerance: autocorrelation at which the sum ends
 
 
 def is_law(ids: Sequence[str]) -> bool:
-    """Whether a hypothesis, given by its effects' ids, consists of laws, perhaps beside parts of the nominal model, and
-    of nothing else."""
+    """Whether the effects with these ids are laws without events, at least one, with nothing beside them but parts of
+    the nominal model."""
     key = frozenset(ids)
     return bool(key & LAWS) and key <= LAWS | CONSTANT and not key & EVENTS
 
@@ -32,10 +32,10 @@ def is_law(ids: Sequence[str]) -> bool:
 def log_likelihood_ratio(
     by_law: Sequence[Array], by_other: Sequence[Array], limits: Sequence[float], noise: float
 ) -> float:
-    """log p(residuals of another hypothesis) / p(those of a law) as Gaussian noise, sum(r_law^2 - r_other^2) / (2
-    noise^2 n), n the number of successive frames that count as one by the terms' autocorrelation: above 0 where the
-    other one leaves less. by_law, by_other: held-out residuals (scored, k) of each recording, px or deg, cut to its one
-    of `limits`. noise: one standard deviation of a coordinate."""
+    """log p(residuals of another hypothesis) / p(those of a law), both as Gaussian noise: sum(r_law^2 - r_other^2) / (2
+    noise^2 n), positive where the other hypothesis leaves less. n is the number of successive frames that count as one,
+    by the terms' autocorrelation. by_law, by_other: held-out residuals (scored, k) of each recording, px or deg, which
+    are cut to the recording's limit in `limits`. noise: one standard deviation of a coordinate."""
     terms = [
         np.sum(np.square(np.clip(law, -limit, limit)) - np.square(np.clip(other, -limit, limit)), axis=1)
         for law, other, limit in zip(by_law, by_other, limits, strict=True)
@@ -47,8 +47,8 @@ def log_likelihood_ratio(
 
 
 def chance(log_ratios: Sequence[float]) -> float:
-    """Upper bound of the probability that the largest of these log-likelihood ratios against a right law comes from
-    noise: n exp(-largest) for n hypotheses (P(ratio > x) <= 1/x for each), at most 1. log_ratios: of every other
-    hypothesis, as `log_likelihood_ratio` gives them."""
+    """Upper bound, at most 1, of the probability that noise alone makes the largest of these log-likelihood ratios
+    against a right law: n exp(-largest) for n other hypotheses, as P(ratio > x) <= 1/x for each; 1 if none is positive.
+    log_ratios: as `log_likelihood_ratio` gives them."""
     largest = max(log_ratios, default=0.0)
     return min(1.0, len(log_ratios) * float(np.exp(-max(largest, 0.0)))) if largest > 0.0 else 1.0

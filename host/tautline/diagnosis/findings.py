@@ -27,19 +27,20 @@ class Finding(Value):
 
     @property
     def stage(self) -> str:
-        """Where in the chain from motor to image it acts: one of effects.STAGES, or "simulator"."""
+        """The stage of the chain from motor to image at which the effect acts: one of effects.STAGES, or
+        "simulator"."""
         return effects.BY_ID[self.id].stage
 
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> Self:
-        """From an entry of the list `effects` of a diagnosis.json."""
+        """Makes a finding from an entry of the list `effects` of a diagnosis.json."""
         known = {name: entry[name] for name in cls.__dataclass_fields__}
         return cls(**{**known, "ambiguous_with": tuple(entry["ambiguous_with"])})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gap(Value):
-    """Root mean squares on data that no fit saw, px per coordinate or deg."""
+    """The sizes of a gap: root mean squares on data that no fit saw, px per coordinate or deg."""
 
     unit: str
     floor: float  # the noise
@@ -54,7 +55,8 @@ class Gap(Value):
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Self:
-        """From the object `gap` of a diagnosis.json."""
+        """Makes the gap's sizes from the content of a diagnosis.json (its `gap`, `gap_recalibrated`, `unit` and
+        `noise_floor`)."""
         gap: dict[str, Any] = {name: tuple(v) if name.endswith("_ci") else v for name, v in document["gap"].items()}
         again = document["gap_recalibrated"]["before"]
         return cls(unit=document["unit"], floor=document["noise_floor"], recalibrated=again, **gap)

@@ -65,15 +65,15 @@ _RANK = 1e-12  # tolerance: relative diagonal entry, singular value, below which
 
 @dataclass(frozen=True)
 class ScoredRows(Rows):
-    """One recording linearised at its scored observations; its `columns` are the unknowns beside the two splines: the
-    details' factors, with a camera the registration, the delay, and any effects'."""
+    """One recording linearised at its scored observations. Its `columns` are derivatives by the unknowns other than the
+    two splines: the factors on the details, with a camera the registration, the delay, and any effects' parameters."""
 
     path: Path  # at all observations
     model: Model  # with the tables that the path was simulated with
 
     def change_by_tables(self, model: Model) -> Array:
-        """(scored, k) By how much the prediction changes, to first order, with another model's B and f_remain on the
-        same grid of q."""
+        """(scored, k) The change of the prediction, to first order, if the tables were the B and f_remain of `model`,
+        which has the same grid of q."""
         width = np.interp(self.p, model.q, model.width - self.model.width)
         follow = np.interp(self.tip, model.q, model.c_deg - self.model.c_deg)
         return self.moved(width, follow)
@@ -94,33 +94,34 @@ class _Simulated:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Where the unknowns are in the vector of all of them, in the order of this module's docstring."""
+    """The positions of the unknowns in the vector of all of them, in the order of this module's docstring."""
 
     width: slice  # coefficients of the spline that is added to B, unit of q
-    follow: slice  # of the one that is added to f_remain, deg
+    follow: slice  # coefficients of the spline that is added to f_remain, deg
     width_details: int  # the factor on the details of B
-    follow_details: int  # that on the details of f_remain
+    follow_details: int  # the factor on the details of f_remain
     static: slice  # the registration, in the order of STATIC_NAMES; empty without a camera
     delay: int  # s
-    effects: int  # the first of the effects' parameters, which are `Hypothesis.slots` in their order
+    effects: int  # index of the effects' first parameter; they are in the order of `Hypothesis.slots`
 
     @classmethod
     def of(cls, curves: Nominal, static: int) -> Unknowns:
-        """The order for these two splines and so many numbers of the registration."""
+        """The positions for these two splines and `static` numbers of the registration (6, or 0 without a camera)."""
         details, delay = curves.size, curves.size + 2 + static
         width, follow = slice(curves.width.size), slice(curves.width.size, details)
         return cls(width, follow, details, details + 1, slice(details + 2, delay), delay, delay + 1)
 
 
 class Fitter:
-    """Fits hypotheses to the same recordings from the same calibrated model. `floor` is one standard deviation of the
-    noise of a coordinate, px or deg; whoever makes a Fitter sets it, with `doubt` and `unsteady`."""
+    """Fits hypotheses to the same recordings, from the same calibrated model. `floor` is one standard deviation of the
+    noise of a coordinate, px or deg; the caller sets it, with `doubt` and `unsteady`, after making a Fitter."""
 
     def __init__(
         self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0, *, smooth: bool = False
     ) -> None:
         """model: as calibrated. segments: the recordings. load_reference: mNm at which the model's tables hold. smooth:
-        start from the model with a single play and with B and f_remain as splines, without their finer details."""
+        start from the model with a single play, and with B and f_remain reduced to splines, without their finer
+        details."""
         self.segments, self.load_reference = list(segments), load_reference
         self.px = segments[0].unit == "px"
         self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
@@ -139,7 +140,7 @@ class Fitter:
             np.full(curves.follow.size, _ANGLE_PRIOR * gain * span),
             np.full(2, _DETAIL_PRIOR),
         ]
-        # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
+        # The details that the splines cannot follow: an effect from the start left its ripple in them.
         self._details = tuple(
             spline_residual(basis, model.q, values)
             for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
@@ -167,8 +168,8 @@ class Fitter:
         self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)  # deg
 
     def on_recordings(self, segments: Sequence[Segment]) -> Fitter:
-        """A fitter of other recordings, within the range of these and all as noisy as the tests, with the same unknowns
-        and priors. What was kept of these recordings is dropped."""
+        """A fitter of other recordings, with the same unknowns and priors. The motor must stay within the range of
+        these recordings; all are taken to be as noisy as the tests. Cached results are not taken along."""
         other = copy(self)
         other.segments, other.relative_noise, other._linearised = list(segments), [1.0] * len(segments), None
         other.__dict__.pop("_coarse", None)
@@ -176,37 +177,39 @@ class Fitter:
 
     @property
     def no_effect(self) -> Hypothesis:
-        """The hypothesis without any effect."""
+        """The hypothesis without any effect, for as many tests as there are recordings after the first."""
         return Hypothesis(tests=len(self.segments) - 1)
 
     def nominal(self, free: Collection[str] = PARTS) -> Fit:
-        """The recalibrated nominal model: a fit without effects in which only the `free` ones of PARTS move."""
+        """The recalibrated nominal model: a fit without effects in which only those of PARTS that are in `free`
+        move."""
         held = self._columns_of(set(PARTS) - set(free))
         minimum = self.descend(self.no_effect, self.start(), _NOMINAL_STEPS, held=held)
         # Where an effect as large as an obstacle is left out, one descent may stall.
         return self.descend(self.no_effect, minimum.state, _NOMINAL_STEPS, held=held)
 
     def recalibrated(self) -> Fit:
-        """The recalibrated nominal model, with all free. Sets `relative_noise` by what it leaves; where recordings have
-        a noise each it is fitted anew, so that one that tells little moves none that tells much."""
+        """The recalibrated nominal model with all of PARTS free. Sets `relative_noise` by what it leaves; where that
+        differs between recordings the model is fitted again, so that a noisy recording weighs less."""
         fit = self.nominal()
         self.relative_noise = relative_noise(self.segments, self.across(fit))
         return fit if len(set(self.relative_noise)) == 1 else self.nominal()
 
     def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
-        """Indices of the nominal's unknowns that belong to these of PARTS."""
-        order, every = self.unknowns, range(self.unknowns.effects)
+        """Indices, in the vector of unknowns, of the nominal model's unknowns that belong to `parts` (ids among
+        PARTS)."""
+        order, all_indices = self.unknowns, range(self.unknowns.effects)
         indices = {
-            WIDTH: [*every[order.width], order.width_details],
-            REMAINING: [*every[order.follow], order.follow_details],
-            STATIC: [*every[order.static]],
+            WIDTH: [*all_indices[order.width], order.width_details],
+            REMAINING: [*all_indices[order.follow], order.follow_details],
+            STATIC: [*all_indices[order.static]],
             DELAY: [order.delay],
         }
         return np.array([i for part in parts for i in indices[part]], dtype=np.int64)
 
     def scale(self, parameter: Parameter) -> float:
-        """A change of a parameter that a user would notice, in its own unit: `Parameter.scale`, times the motor's range
-        where that is declared as a share of it."""
+        """A change of the parameter that a user would notice, in its own unit (`Parameter.scale`, times the motor's
+        range where the parameter is in the unit of q)."""
         return parameter.scale * parameter.share(self.model.rig.actuator.span)
 
     def clipped(self, parameter: Parameter, value: float) -> float:
@@ -214,7 +217,8 @@ class Fitter:
         return parameter.inside(value, self.model.rig.actuator.span)
 
     def start(self) -> ParameterState:
-        """The point from which fits start: the calibrated model without effects, its registration as it is."""
+        """The state from which fits start: the calibrated model without effects, and with a camera a zero change of its
+        registration."""
         return ParameterState(self.model, dict.fromkeys(STATIC_NAMES, 0.0) if self.px else {})
 
     def residuals(self, state: ParameterState, hypothesis: Hypothesis) -> list[Array]:
@@ -226,8 +230,8 @@ class Fitter:
         return per_segment
 
     def across(self, fit: Fit) -> list[Array] | None:
-        """(scored, 1) px for each recording: a fit's residual across the image direction d image / dc of bending, in
-        which nothing that moves the tip along its path is seen; None without a camera."""
+        """(scored, 1) px for each recording: the component of a fit's residual across the image direction d image / dc,
+        in which a tip that moves along its path leaves nothing. None without a camera."""
         if not self.px:
             return None
         simulated = self.simulated(fit.state, fit.hypothesis)
@@ -237,22 +241,24 @@ class Fitter:
         ]
 
     def rows(self, state: ParameterState, hypothesis: Hypothesis) -> list[ScoredRows]:
-        """For each recording its residual and the derivatives by the nominal's unknowns, at the scored observations."""
+        """For each recording the residual and its derivatives by the nominal model's unknowns, at the scored
+        observations."""
         return self.rows_of(state, self.simulated(state, hypothesis))
 
     def simulated(self, state: ParameterState, hypothesis: Hypothesis) -> list[_Simulated]:
-        """Each recording simulated at a point of the parameter space."""
+        """Each recording simulated at a point of the parameter space. A user's simulator is told of all runs beforehand
+        (`Segment.ask`), so that it can run them at once."""
         parameters_of = [state.at(segment, hypothesis) for segment in self.segments]
         for segment, parameters in zip(self.segments, parameters_of, strict=True):
             segment.ask(parameters)
         return [
-            self._simulated(segment, state.model, parameters)
+            self._simulated_segment(segment, state.model, parameters)
             for segment, parameters in zip(self.segments, parameters_of, strict=True)
         ]
 
-    def _simulated(self, segment: Segment, model: Model, parameters: Mapping[str, Any]) -> _Simulated:
-        """One recording simulated with these parameters. Without a camera the sensor shows the angle itself: by_c is 1
-        and by_static is empty."""
+    def _simulated_segment(self, segment: Segment, model: Model, parameters: Mapping[str, Any]) -> _Simulated:
+        """One recording simulated with these parameters. Without a camera the sensor shows the angle itself: by_c is 1,
+        and by_static has no columns."""
         path = segment.follow(model, parameters, self.load_reference)
         model = effects.tabled(model, parameters)
         if self.px:
@@ -264,19 +270,20 @@ class Fitter:
         return _Simulated(parameters, path, model, seen, by_c, by_static, residual)
 
     def rows_of(self, state: ParameterState, simulated: Sequence[_Simulated]) -> list[ScoredRows]:
-        """`rows`, where the recordings are `simulated` at that state already."""
+        """As `rows`, from recordings that are `simulated` at `state` already."""
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
         return [
-            self._rows(segment, state.model, of_segment, slope_b, slope_f)
+            self._rows_of_segment(segment, state.model, of_segment, slope_b, slope_f)
             for segment, of_segment in zip(self.segments, simulated, strict=True)
         ]
 
-    def _rows(
+    def _rows_of_segment(
         self, segment: Segment, nominal: Model, simulated: _Simulated, slope_b: Array, slope_f: Array
     ) -> ScoredRows:
-        """`rows` of one recording: dc = gain f'(tip) dp/dB dB + gain df, and the image by c. slope_b, slope_f: the
-        nominal's dB/dq and df_remain/dq on its grid; of effects in tables those of the changed tables are taken."""
+        """As `rows`, for one recording. The angle changes by dc = gain f'(tip) dp/dB dB + gain df for changes dB of B
+        and df of f_remain, and the image by dc times `by_c`. slope_b, slope_f: dB/dq and df_remain/dq of `nominal` on
+        its grid; where effects have changed the tables, the slopes of the changed ones are used instead."""
         path, model, scored, by_c = simulated.path, simulated.model, segment.scored, simulated.by_c
         if model is not nominal:
             slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
@@ -293,9 +300,9 @@ class Fitter:
         return ScoredRows(p, tip, c_by_b, gain, by_c[scored], columns, simulated.residual, path, model)
 
     def _by_delay(self, segment: Segment, nominal: Model, simulated: _Simulated) -> Array:
-        """(n, k) d prediction / d delay, px or deg per s: minus the velocity of what the sensor shows, as a difference
-        over _AHEAD_S; of the image, or of the bending angle where that alone moves it. 0 where the model has no delay
-        for this sensor."""
+        """(n, k) d prediction / d delay, px or deg per s: minus the velocity of what the sensor shows, by a difference
+        quotient over _AHEAD_S. Where other axes move it is the image's velocity; else that of the bending angle, times
+        by_c. 0 where the model has no delay for this sensor."""
         path, by_c, parameters = simulated.path, simulated.by_c, simulated.parameters
         if not self.delayed:
             return np.zeros_like(by_c)
@@ -309,9 +316,10 @@ class Fitter:
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
     ) -> Normal:
-        """Normal matrix (m, m) and gradient (m,) of one recording: of the two splines' coefficients, rows.columns and
-        last `extra`, further columns (scored, k, ...). weight (scored, k): of each residual, default 1. known: the
-        result without `extra`, which is then not summed again."""
+        """Normal matrix (m, m) and gradient (m,) of one recording. The unknowns are the two splines' coefficients,
+        those of rows.columns, and last those of `extra`, further columns (scored, k, ...). weight (scored, k): of each
+        squared residual, 1 by default. known: the result without `extra`, which is then copied and not computed
+        again."""
         columns, first = rows.columns, rows.columns.shape[2]
         without_extra = self.nominal_curves.size + first
         if extra is not None:
@@ -324,28 +332,30 @@ class Fitter:
         return total
 
     def residuals_after_step(self, rows: Sequence[Rows]) -> list[Array]:
-        """The residual of each recording, (scored, k), after one linear least-squares step of the unknowns of all rows
-        without any prior: what nothing that these columns can do would take away."""
+        """(scored, k) of each recording: the residual that is left after one linear least-squares step of all unknowns
+        of the rows, common to all recordings and without any prior. It is what no combination of the columns can
+        explain."""
         parts = [self.normal(row) for row in rows]
         matrix = np.asarray(sum(part.matrix for part in parts))
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), _RANK * float(np.diag(matrix).max())))  # units differ
+        # Columns are scaled to unit norm, as their units differ; what they do not determine is left at 0.
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), _RANK * float(np.diag(matrix).max())))
         inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=_RANK, hermitian=True)
         step = scale * (inverse @ (scale * np.asarray(sum(part.gradient for part in parts))))
         return [row.residual - self.moved(row, step) for row in rows]
 
     def moved(self, row: Rows, step: Array) -> Array:
-        """(scored, k) The change of the prediction, to first order, by a step (m,) of the row's unknowns: those of the
-        two splines, then those of row.columns."""
+        """(scored, k) The change of the prediction, to first order, by a step (m,) of the unknowns of `row`: first
+        those of the two splines, then those of row.columns."""
         return self.nominal_curves.moved(row, step)
 
     def spread(self, hypothesis: Hypothesis) -> Array:
-        """(m,) Standard deviations of the prior of all unknowns: the nominal's, then the effects' parameters."""
+        """(m,) Prior standard deviations of all unknowns: the nominal model's, then the effects' parameters."""
         return np.concatenate([self._prior, [_FAR * self.scale(slot.parameter) for slot in hypothesis.slots]])
 
     def prior_precision(self, hypothesis: Hypothesis) -> Array:
-        """(m, m) The inverse covariance of the unknowns' prior: 1 / spread^2 on the diagonal, and a smoothing penalty
-        on the second differences of the splines added to B and f_remain, so that they continue smoothly where a motion
-        hardly reaches."""
+        """(m, m) The inverse covariance of the unknowns' prior: 1 / spread^2 on the diagonal, a penalty on the second
+        differences of the splines added to B and f_remain, so that they continue smoothly where the motion hardly
+        reaches, and `curve_precision` for the effects' curves."""
         precision = np.diag(1 / self.spread(hypothesis) ** 2)
         splines, of_effects = slice(self.unknowns.follow.stop), slice(self.unknowns.effects, None)
         precision[splines, splines] += self._bending
@@ -354,7 +364,8 @@ class Fitter:
 
     def curve_precision(self, hypothesis: Hypothesis) -> Array:
         """(slots, slots) The additional prior precision of effects that are splines over the motor's range
-        (`Kind.curve`): towards zero, where no motion was, and smooth."""
+        (`Kind.curve`): it keeps their coefficients small where no motion was (1 / (_CURVES_FAR scale)^2), and smooth. 0
+        for other effects."""
         slots = hypothesis.slots
         precision = np.zeros((len(slots), len(slots)))
         for curve in {kind.curve for kind in hypothesis.kinds}:
@@ -367,18 +378,19 @@ class Fitter:
         return precision
 
     def _bending_precision(self, coefficient: Parameter, size: int) -> Array:
-        """(size, size) Prior precision of the second differences of a curve with `size` cubic B-spline coefficients,
-        with the same smoothness as what is added to B and f_remain. coefficient: one of them, for its unit."""
+        """(size, size) Prior precision of the second differences of a curve of `size` cubic B-spline coefficients, so
+        that it is as smooth as what is added to B and f_remain. coefficient: any of them, for its unit (that of q, or
+        deg)."""
         actuator = self.model.rig.actuator
-        # Second differences of the same curve go with the square of the knots' distance.
+        # Second differences of the same curve are proportional to the square of the knots' distance.
         deviation = _ROUGH * actuator.span * (_FOLLOW_PIECES / (size - 3)) ** 2
         by_unit = 1.0 if coefficient.unit == "unit" else abs(self.model.rig.coarse.gain)
         return np.asarray(Basis(*actuator.range, size - 3).bending / (deviation * by_unit) ** 2)
 
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
-        """Derivatives of the prediction by the effects' parameters, (scored, k, slots) for each recording: exact where
-        an effect is a linear change of B or f_remain, else difference quotients of the simulation (of the tables, where
-        it is a change of these). rows: at `state`."""
+        """(scored, k, slots) for each recording: derivatives of the prediction by the effects' parameters; 0 where a
+        parameter is not one of that recording. Exact where an effect changes B or f_remain linearly, else a difference
+        quotient with a step of _DIFFERENCE times the parameter's scale. rows: the recordings linearised at `state`."""
         slots = hypothesis.slots
         steps = [_DIFFERENCE * self.scale(slot.parameter) for slot in slots]
         stepped = [
@@ -403,8 +415,8 @@ class Fitter:
         return columns
 
     def linearised(self, fit: Fit) -> list[ScoredRows]:
-        """The rows of each recording at a fit, the columns of its effects' parameters after the nominal's; those of the
-        last fit are kept, as several tests of one ask for them."""
+        """The rows of each recording at a fit, with the columns of the effects' parameters after the nominal model's.
+        The result for the last fit is cached, as several tests of one fit ask for it."""
         if self._linearised is None or self._linearised[0] is not fit:
             of_nominal = self.rows(fit.state, fit.hypothesis)
             of_effects = self.effect_columns(fit.state, fit.hypothesis, of_nominal)
@@ -424,10 +436,10 @@ class Fitter:
         row: ScoredRows,
         residual: Array,
     ) -> Array:
-        """(scored, k) The prediction at `state` less that of another state, which has `row` and left `residual`
-        (scored, k) and differs by `parameter` alone. The cheapest way that holds: to first order where it changes the
-        tables, by c where the paths differ in the bending angle only, else by what the sensor would show. 0 where the
-        marker would be behind the camera."""
+        """(scored, k) By how much the prediction at `state` differs from that at the state of `row`, which left
+        `residual` (scored, k); the two states must differ only in `parameter`. Computed in the cheapest valid way: to
+        first order from the tables where the parameter changes these; from the bending angles where the paths differ
+        only in them; else from what the sensor would show. 0 where the marker would be behind the camera."""
         values = state.at(segment, hypothesis)
         if parameter.name in effects.IN_TABLES:
             change = row.change_by_tables(effects.tabled(state.model, values))
@@ -446,7 +458,7 @@ class Fitter:
         start: ParameterState,
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
-        """The best fit of a hypothesis from several starts; arguments as for `begin`."""
+        """The best fit of a hypothesis from several starts, to all observations; arguments as for `begin`."""
         return self.finish(self.begin(hypothesis, values, start, others))
 
     def begin(
@@ -456,10 +468,11 @@ class Fitter:
         start: ParameterState,
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
-        """A fit to the observations of `coarse`, with their residuals. values: of the effects' parameters, by key;
-        others: further starts of some of them. The nominal model starts from `start`, for a single effect also as
-        calibrated, as a recalibration has bent it towards the effect, and if that was there from the start also with
-        one play in place of several."""
+        """A first fit, to the observations of `coarse`; its residuals are of these too. values: start of the effects'
+        parameters, by key; others: further starts of some of them. The nominal model starts from `start`. For a single
+        effect it starts also from the calibrated model, as a recalibration has bent the model towards the effect, and,
+        if that effect was there from the start, from the calibrated model with one play in place of several. The best
+        fit is returned."""
         coarse, nominals = self.coarse, [start]
         if len(hypothesis.kinds) == 1:
             nominals.append(self.start())
@@ -468,17 +481,17 @@ class Fitter:
         fits = []
         for nominal in nominals:
             states = [replace(nominal, values={**values, **other}) for other in ({}, *others)]
-            best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+            best = self._best_fit([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
             fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
-        return self._best(fits)
+        return self._best_fit(fits)
 
     def finish(self, begun: Fit) -> Fit:
-        """Continues a fit that `begin` gave with all observations."""
+        """Continues a fit of `begin`, now with all observations."""
         return self.descend(begun.hypothesis, begun.state, _FULL_STEPS)
 
-    def _best(self, fits: Sequence[Fit]) -> Fit:
-        """The fit of the lowest Huber cost, with each recording's smallest limit among the fits; one with non-finite
-        residuals (marker behind the camera) only if all have them."""
+    def _best_fit(self, fits: Sequence[Fit]) -> Fit:
+        """The fit with the lowest Huber cost; the limit of each recording is the smallest among the fits. Fits with
+        non-finite residuals (marker behind the camera) count only if all are such."""
         fits = [fit for fit in fits if fit.finite] or fits
         of_segments = zip(*(fit.residuals for fit in fits), strict=True)
         limits = [min(map(outlier_limit, residuals)) for residuals in of_segments]
@@ -486,13 +499,14 @@ class Fitter:
 
     @property
     def coarse(self) -> Fitter:
-        """A fitter of the same recordings with about _COARSE_FRAMES observations."""
+        """A fitter of about _COARSE_FRAMES of the observations, with this fitter's present noise."""
         self._coarse.floor, self._coarse.relative_noise = self.floor, self.relative_noise
         return self._coarse
 
     @cached_property
     def _coarse(self) -> Fitter:
-        """As `coarse`, built once; this fitter itself where it has fewer than 1.5 times as many observations."""
+        """The fitter that `coarse` returns, made once: of every n-th observation, or this fitter itself where it has
+        fewer than 1.5 _COARSE_FRAMES."""
         stride = round(sum(int(s.scored.sum()) for s in self.segments) / _COARSE_FRAMES)
         if stride < 2:
             return self
@@ -506,17 +520,17 @@ class Fitter:
         small_gain: float = _SMALL_GAIN,
         held: npt.NDArray[np.int64] | None = None,
     ) -> Fit:
-        """Damped Gauss-Newton from `state`, up to `most_steps` steps or the first one that lowers the cost by less than
-        a share `small_gain`. held: indices of the nominal's unknowns that stay fixed."""
+        """Fits by damped Gauss-Newton from `state`: at most `most_steps` steps, ending with the first that lowers the
+        cost by less than a share `small_gain`. held: indices of the nominal model's unknowns that stay fixed."""
         held = np.zeros(0, dtype=np.int64) if held is None else held
         problem = _Descent(self, hypothesis, small_gain, held)
         minimum = descend(problem, _Point(state, self.simulated(state, hypothesis)), most_steps)
         return Fit(hypothesis, minimum.state, minimum.residuals)
 
     def stepped(self, state: ParameterState, hypothesis: Hypothesis, step: Array) -> ParameterState:
-        """The state after adding `step` (m,) to all unknowns, in the order of `Unknowns`. B stays what a width may be,
-        and each of the effects' parameters within its range; an angle at which an effect begins (`Parameter.reached`,
-        deg) stays within those that the recordings reach."""
+        """The state after adding `step` (m,), in the order of `Unknowns`. B is kept an allowed width, each parameter of
+        an effect within its range, and an angle at which an effect begins (`Parameter.reached`, deg) within the angles
+        that the recordings reach."""
         model, curves, order = state.model, self.nominal_curves, self.unknowns
         of_width, of_follow = self._details
         width = model.width + curves.width.value(step[order.width], model.q) + step[order.width_details] * of_width
@@ -534,7 +548,7 @@ class Fitter:
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the parameter space with its simulation; it is differentiated only where a step is taken from it."""
+    """A point of the parameter space with its simulation."""
 
     state: ParameterState
     simulated: list[_Simulated]  # of each recording
@@ -546,22 +560,22 @@ class _Point:
 
 
 class _Descent:
-    """A hypothesis as a least-squares problem (least_squares.Problem): Huber's cost, whose limit is estimated anew for
-    each recording before every step; an effect's parameter is held at the end of its range where a step would lead
-    beyond it."""
+    """A hypothesis as a least-squares problem (least_squares.Problem) with Huber's cost. The limit of each recording is
+    estimated anew before every step. A parameter of an effect is held fixed while it is at an end of its range and the
+    gradient points beyond it."""
 
     def __init__(self, fitter: Fitter, hypothesis: Hypothesis, small_gain: float, held: npt.NDArray[np.int64]) -> None:
         """small_gain: share of the cost; a step that lowers it by less ends the descent. held: indices of unknowns, in
         the order of this module's docstring, that stay fixed."""
         self.fitter, self.hypothesis, self.small_gain, self.held = fitter, hypothesis, small_gain, held
-        # Times the noise's power: the cost is in squares of px or deg.
+        # Multiplied by the noise's power, as the cost is in px^2 or deg^2.
         self.prior_precision = fitter.floor**2 * fitter.prior_precision(hypothesis)
         self.curve_precision = fitter.floor**2 * fitter.curve_precision(hypothesis)
         self.limits: list[float] = []  # of each recording, px or deg, at the last linearisation
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
-        """(Normal matrix (m, m), gradient (m,): the direction that lowers the cost, cost) at a point, with Huber's
-        weights and the priors. What is held has an equation of its own, whose step is 0."""
+        """(Normal matrix (m, m), gradient (m,) as the direction that lowers the cost, cost) at a point, with Huber's
+        weights and the priors. Sets `limits`. Unknowns that are held get the equation 1 * step = 0."""
         fitter, hypothesis = self.fitter, self.hypothesis
         rows = fitter.rows_of(point.state, point.simulated)
         self.limits = [outlier_limit(row.residual) for row in rows]
@@ -571,7 +585,7 @@ class _Descent:
             part = fitter.normal(row, extra, huber_weight(row.residual, limit) / times**2)
             matrix += part.matrix
             gradient += part.gradient
-        values = self._values(point.state)
+        values = self._effect_values(point.state)
         gradient[fitter.unknowns.effects :] -= self.curve_precision @ values
         held = np.concatenate([self.held, self._at_bounds(point.state, gradient)])
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
@@ -579,7 +593,8 @@ class _Descent:
         return matrix, gradient, self.cost(point)
 
     def _at_bounds(self, state: ParameterState, gradient: Array) -> npt.NDArray[np.int64]:
-        """Indices of the slots whose value is at an end of its range with the gradient pointing beyond it."""
+        """Indices, in the vector of unknowns, of the effects' parameters whose value is at an end of its range while
+        the gradient points beyond it."""
         ends = []
         for i, slot in enumerate(self.hypothesis.slots, self.fitter.unknowns.effects):
             value = state.values[slot.key]
@@ -589,63 +604,64 @@ class _Descent:
         return np.array(ends, dtype=np.int64)
 
     def moved(self, point: _Point, step: Array) -> _Point:
-        """The point a step (m,) further."""
+        """The point reached by a step (m,), simulated."""
         state = self.fitter.stepped(point.state, self.hypothesis, step)
         return _Point(state, self.fitter.simulated(state, self.hypothesis))
 
     def cost(self, point: _Point) -> float:
-        """Huber's cost by the limits of the last linearisation, plus the prior of effects that are curves. The other
-        priors only damp each step: they are about the point before it and no part of the cost."""
-        values = self._values(point.state)
+        """Huber's cost with the limits of the last linearisation, plus the prior of effects that are curves. The other
+        priors only damp each step: they are centred on the point before the step, and no part of the cost."""
+        values = self._effect_values(point.state)
         of_data = huber_cost(point.residuals, self.limits, self.fitter.relative_noise)
         return of_data + float(values @ self.curve_precision @ values)
 
-    def _values(self, state: ParameterState) -> Array:
-        """(slots,) The effects' fitted parameters in the order of the hypothesis' slots."""
+    def _effect_values(self, state: ParameterState) -> Array:
+        """(slots,) The effects' fitted parameters, in the order of the hypothesis' slots."""
         return np.array([state.values[slot.key] for slot in self.hypothesis.slots])
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether a step that lowered `cost` by `gained` was the last."""
+        """Whether to stop after a step that lowered `cost` by `gained`."""
         return gained < self.small_gain * cost
 
 
 def _columns_by_tables(
     segment: Segment, state: ParameterState, hypothesis: Hypothesis, row: ScoredRows, into: Array
 ) -> set[int]:
-    """Writes into `into` (scored, k, slots) the derivatives of one recording's prediction by those parameters that
-    change B or f_remain linearly, and returns the indices of their slots; the other slots stay as they are. By the
-    chain rule a derivative is that of the prediction by the bending angle (row.by_c), times that of the angle by the
-    curve (row.by_width or row.by_follow), times that of the curve by the parameter, at the centre coordinate row.p for
-    B and at the tip, row.tip, for f_remain. row: the recording linearised at `state`."""
+    """Writes into `into` (scored, k, slots) the derivatives by those parameters that change B or f_remain linearly, and
+    returns the indices of these slots; the other slots are left unchanged. Each derivative is a product: prediction by
+    bending angle (row.by_c), angle by curve (row.by_width or row.by_follow), curve by parameter. The last is taken at
+    the play's centre row.p for B and at row.tip for f_remain. row: the recording linearised at `state`."""
     values, slots = state.at(segment, hypothesis), hypothesis.slots
-    found: set[int] = set()
+    written: set[int] = set()
     for kind in hypothesis.kinds:
         names = {parameter.name for parameter in kind.amplitudes if kind.slopes}
-        mine = {i: slot for i, slot in enumerate(slots) if slot.parameter.name in names and slot.holds_in(segment)}
-        if not (kind.slopes and mine):
+        slots_of_kind = {
+            i: slot for i, slot in enumerate(slots) if slot.parameter.name in names and slot.holds_in(segment)
+        }
+        if not (kind.slopes and slots_of_kind):
             continue
         of_width = kind.in_tables == "width"
         slopes = kind.slopes(state.model, values, row.p if of_width else row.tip)
         if slopes is None:
             continue
         by_curve = row.by_width if of_width else row.by_follow
-        change = np.column_stack([slopes[slot.parameter.name] for slot in mine.values()]) * by_curve[:, None]
-        into[:, :, list(mine)] = row.by_c[:, :, None] * change[:, None, :]
-        found |= mine.keys()
-    return found
+        change = np.column_stack([slopes[slot.parameter.name] for slot in slots_of_kind.values()]) * by_curve[:, None]
+        into[:, :, list(slots_of_kind)] = row.by_c[:, :, None] * change[:, None, :]
+        written |= slots_of_kind.keys()
+    return written
 
 
 def _without_details(curves: Nominal, model: Model) -> Model:
-    """The model with a single play, and without the details of B and f_remain that splines of these bases cannot
-    follow."""
+    """The model with a single play, and within the bases' range with B and f_remain replaced by their least-squares
+    splines of these bases."""
     width = model.width - spline_residual(curves.width, model.q, model.width)
     c_deg = model.c_deg - spline_residual(curves.follow, model.q, model.c_deg)
     return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE, friction=None)
 
 
 def spline_residual(basis: Basis, grid: Array, values: Array) -> Array:
-    """(n,) A curve's values (n,) on a grid (n,) less their least-squares spline of this basis; 0 outside of the basis'
-    range."""
+    """(n,) What is left of a curve's values (n,), given on a grid (n,), after subtracting their least-squares spline of
+    this basis; 0 outside the basis' range."""
     inside_range = (grid >= basis.low) & (grid <= basis.high)
     design = basis.design(grid).toarray()
     coefficients = np.linalg.lstsq(design[inside_range], values[inside_range], rcond=None)[0]
@@ -654,5 +670,5 @@ def spline_residual(basis: Basis, grid: Array, values: Array) -> Array:
 
 
 def moves_tip(parameter: Parameter) -> bool:
-    """Whether the tip's path depends on the parameter, and not only how that path is seen."""
+    """Whether the parameter changes the tip's path, and not only how that path is seen."""
     return parameter.name not in effects.PROJECTION

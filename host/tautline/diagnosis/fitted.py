@@ -22,7 +22,8 @@ STATIC_NAMES = tuple(p.name for p in effects.BY_ID["registration.static"].amplit
 
 
 class Scope(IntEnum):
-    """In which recordings an effect is there. bool(scope): whether the calibration is without it."""
+    """Since when an effect is there, and with which parameters. bool(scope): whether the calibration is without the
+    effect."""
 
     START = 0  # in all, the calibration included
     TESTS = 1  # in all after the calibration, with the same parameters
@@ -30,13 +31,13 @@ class Scope(IntEnum):
 
     @property
     def since(self) -> str:
-        """Its name in diagnosis.json."""
+        """The name of this scope in diagnosis.json ("start", "calibration" or "recording")."""
         return ("start", "calibration", "recording")[self]
 
 
 @dataclass(frozen=True)
 class Slot:
-    """One fitted number: an effect's parameter, of all recordings or of one."""
+    """One fitted number: a parameter of an effect, for all recordings with this effect or for one of them."""
 
     parameter: Parameter
     key: str  # under which ParameterState.values has it
@@ -44,38 +45,38 @@ class Slot:
     number: int = 0  # index of the recording it belongs to, where each has its own; else 0
 
     def holds_in(self, segment: Segment) -> bool:
-        """Whether this number is a parameter of that recording."""
+        """Whether the recording `segment` is simulated with this number."""
         if self.scope == Scope.EACH:
             return segment.number == self.number
         return not (self.scope and segment.calibration)
 
 
 def key(name: str, number: int) -> str:
-    """The key in `ParameterState.values` of a parameter that belongs to one recording: its name and that one's
-    index."""
+    """The key in `ParameterState.values` of a parameter that each recording has for itself: NAME@NUMBER, by the
+    recording's index `number`."""
     return f"{name}@{number}"
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Effects that are present, in the order in which they were added, and since when each is."""
+    """The effects that are present, in the order in which they were added, and since when each of them is there."""
 
     kinds: tuple[Kind, ...] = ()
     scopes: tuple[Scope, ...] = ()  # of each of `kinds`
     tests: int = 1  # number of recordings after the calibration
 
     def plus(self, kind: Kind, scope: Scope) -> Hypothesis:
-        """The hypothesis with one effect more."""
+        """A new hypothesis with one more effect, added last."""
         return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
 
     def find(self, name: str) -> tuple[Kind, Scope] | None:
-        """(The effect with this id, since when it is there); None where this hypothesis is without it."""
+        """(The effect with the id `name`, since when it is there); None where this hypothesis is without it."""
         return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
 
     @cached_property
     def slots(self) -> list[Slot]:
-        """The fitted numbers in the order of the parameter vector: the effects' amplitudes and continuous shapes, once
-        for each test where an effect has its own in each."""
+        """The fitted numbers in the order of the parameter vector: of each effect the amplitudes and shapes that are
+        not `searched`, once for each test where the effect has its own in each (Scope.EACH)."""
         collected = []
         for kind, scope in zip(self.kinds, self.scopes, strict=True):
             for p in (p for p in kind.parameters if not p.searched):
@@ -95,8 +96,9 @@ class ParameterState:
     values: Mapping[str, float] = field(default_factory=dict)  # of the effects' parameters, by `Slot.key`
 
     def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
-        """The parameters by name, registration and effects, with which one recording is simulated; a change of the
-        registration by an effect is added to the nominal one."""
+        """The parameters, by name, with which this recording is simulated: the registration, and those of the effects
+        that are there in it. Where an effect has the registration's own parameters they are added to the nominal
+        ones."""
         parameters: dict[str, Any] = dict(self.static)
         for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
             if scope and segment.calibration:
@@ -113,7 +115,7 @@ class ParameterState:
 
 @dataclass(frozen=True)
 class Fit:
-    """A hypothesis at the best point that was found."""
+    """A hypothesis at the best point of its parameter space that was found."""
 
     hypothesis: Hypothesis
     state: ParameterState
@@ -121,10 +123,10 @@ class Fit:
 
     @property
     def finite(self) -> bool:
-        """Whether all residuals are numbers: they are NaN where the marker would be behind the camera."""
+        """Whether all residuals are finite. They are NaN where the marker would be behind the camera."""
         return all(bool(np.isfinite(r).all()) for r in self.residuals)
 
     @property
     def freedom(self) -> int:
-        """How many parameters the effects have."""
+        """The number of fitted parameters of the effects."""
         return len(self.hypothesis.slots)

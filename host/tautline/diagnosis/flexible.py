@@ -40,7 +40,7 @@ _CONSTANT = 1e-9  # tolerance: range or standard deviation below which an input 
 
 @dataclass(frozen=True)
 class Flexible:
-    """What a cross-validated Gaussian process leaves of residuals; rms per coordinate, px or deg."""
+    """What a cross-validated Gaussian process leaves of residuals. The sizes are rms per coordinate, px or deg."""
 
     before: float  # of the residuals
     after: float  # of what the process leaves of them on the half of the blocks that it was not trained on
@@ -49,20 +49,20 @@ class Flexible:
 
     @property
     def shrink(self) -> float:
-        """Share of the residuals' rms that the process closes, 0 to 1."""
+        """Share of the residuals' rms that the process predicts, 0 to 1."""
         return max(0.0, gap.shrinkage(self.before, self.after))
 
     @property
     def closable_shrink(self) -> float:
-        """Share of the residuals' power above the noise floor that the process closes, 0 to 1; 0 where there is
-        none."""
+        """Share of the residuals' power above the noise floor that the process predicts, 0 to 1; 0 where no power is
+        above the floor."""
         open_before = self.before**2 - self.floor**2
         if open_before <= 0.0:
             return 0.0
         return float(np.clip(1.0 - (self.after**2 - self.floor**2) / open_before, 0.0, 1.0))
 
     def to_json(self) -> dict[str, float]:
-        """The object `flexible` of diagnosis.json."""
+        """The object `flexible` of diagnosis.json; without swing_s where there is no oscillation."""
         return {
             "before": self.before,
             "after": self.after,
@@ -72,13 +72,13 @@ class Flexible:
         }
 
 
-def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
-    """How much of `residuals` (scored, k of each recording) a Gaussian process of motor position, travel since the
-    reversal, direction, speed, other axes, load, time and an oscillation's phase predicts: each half of the blocks from
-    the other half. floor: one standard deviation of the noise. None where a half has fewer than _FEWEST observations.
-    It takes about a second."""
+def cross_validate(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
+    """Cross-validates a Gaussian process of the residuals, (scored, k) of each recording: it is trained on either half
+    of the blocks and predicts the other half. Its inputs are motor position, travel since the reversal, direction,
+    speed, other axes, load, time and the phase of an oscillation, if there is one. floor: one standard deviation of the
+    noise. None where a half has fewer than _FEWEST observations. It takes about a second."""
     swing_s = _swing_period(segments, residuals)
-    inputs, half = _inputs(segments, swing_s), _halves(segments)
+    inputs, half = _inputs(segments, swing_s), _half_of_each(segments)
     seen = np.concatenate(residuals)
     if any(np.count_nonzero(half == h) < _FEWEST for h in (0, 1)):
         return None
@@ -87,8 +87,8 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
     count = 0
     with threadpool_limits(1):  # many small systems
         for trained in (0, 1):
-            train = _thinned(np.flatnonzero(half == trained), _TRAINED_ON)
-            test = _thinned(np.flatnonzero(half != trained), _SCORED_ON // 2)
+            train = _evenly_thinned(np.flatnonzero(half == trained), _TRAINED_ON)
+            test = _evenly_thinned(np.flatnonzero(half != trained), _SCORED_ON // 2)
             predicted = _gp_mean(inputs[train], seen[train], floor, inputs[test])
             before += float(np.sum(seen[test] ** 2))
             after += float(np.sum((seen[test] - predicted) ** 2))
@@ -97,10 +97,10 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
 
 
 def _gp_mean(inputs: Array, seen: Array, floor: float, test_inputs: Array) -> Array:
-    """(m, k) Posterior mean at test_inputs (m, d) of a Gaussian process trained on `seen` (n, k) at `inputs` (n, d):
-    squared-exponential kernel with a length scale for each input, and white noise of at least about `floor`, px or deg;
-    these hyperparameters are `_likeliest`."""
-    size, lengths, white = _likeliest(inputs, seen, floor)
+    """(m, k) Posterior mean at test_inputs (m, d) of a Gaussian process trained on `seen` (n, k) at `inputs` (n, d).
+    Kernel: squared exponential with a length scale for each input; noise: white, at least about `floor`, px or deg; the
+    hyperparameters are those that `_likeliest_hyperparameters` finds."""
+    size, lengths, white = _likeliest_hyperparameters(inputs, seen, floor)
     own = size * kernel(inputs, inputs, lengths)
     factor = cho_factor(own + (white + JITTER) * np.eye(len(inputs)), lower=True)
     predicted: Array = size * kernel(test_inputs, inputs, lengths) @ cho_solve(factor, seen)
@@ -108,23 +108,25 @@ def _gp_mean(inputs: Array, seen: Array, floor: float, test_inputs: Array) -> Ar
 
 
 def discrepancy(inputs: Array, seen: Array, floor: float, sigma: float) -> Discrepancy:
-    """The process of `seen` (n, k) at `inputs` (n, d), of which it remembers _KEPT, with its likeliest length scales
-    and noise, and `sigma` as one standard deviation a priori. floor: of the noise, px or deg."""
-    few = _thinned(np.arange(len(inputs)), _KEPT)
+    """Makes a Discrepancy (a Gaussian process) of `seen` (n, k) at `inputs` (n, d): with the likeliest length scales
+    and white noise, remembering _KEPT evenly spaced inputs. sigma: its prior standard deviation; floor: of the noise;
+    both in the unit of `seen`, px or deg."""
+    few = _evenly_thinned(np.arange(len(inputs)), _KEPT)
     scale = np.maximum(inputs.std(axis=0), _CONSTANT)
     with threadpool_limits(1):  # many small systems
-        _, lengths, white = _likeliest(inputs / scale, seen, floor)
+        _, lengths, white = _likeliest_hyperparameters(inputs / scale, seen, floor)
     return Discrepancy(sigma, inputs[few], scale * lengths, white / sigma**2)
 
 
-def _likeliest(inputs: Array, seen: Array, floor: float) -> tuple[float, Array, float]:
-    """(The process' variance, its length scales (d,), the white noise's variance) that maximise the marginal likelihood
-    of _LENGTHS_FROM of `seen` (n, k) at `inputs` (n, d), whose standard deviations are about 1; within ranges in units
-    of those of `inputs` and of the rms of `seen`. floor: of the noise, in the unit of `seen`."""
+def _likeliest_hyperparameters(inputs: Array, seen: Array, floor: float) -> tuple[float, Array, float]:
+    """(Variance of the process, length scales (d,), variance of the white noise) that maximise the marginal likelihood
+    of _LENGTHS_FROM evenly spaced observations of `seen` (n, k) at `inputs` (n, d), whose standard deviations are about
+    1. Length scales are in units of `inputs`, variances in the square of the unit of `seen`; their ranges are _SIZES,
+    _SHORTEST to _LONGEST, and from _LEAST_OF_FLOOR of the noise power floor^2 on."""
     scale = float(np.sqrt(np.mean(seen**2))) or 1.0
     noise = max((floor / scale) ** 2, _LEAST_NOISE)
     d = inputs.shape[1]
-    few = _thinned(np.arange(len(inputs)), _LENGTHS_FROM)
+    few = _evenly_thinned(np.arange(len(inputs)), _LENGTHS_FROM)
     start: Array = np.log(np.array([1.0, *np.ones(d), noise]))
     bounds = [_SIZES, *[(_SHORTEST, _LONGEST)] * d, (_LEAST_OF_FLOOR * noise, _MOST_NOISE)]
     squared_differences, values = (inputs[few, None] - inputs[few]) ** 2, seen[few] / scale
@@ -136,16 +138,16 @@ def _likeliest(inputs: Array, seen: Array, floor: float) -> tuple[float, Array, 
         method="L-BFGS-B",
         bounds=limits,
     )
-    size, lengths, white = _hyper(minimum.x)
+    size, lengths, white = _hyperparameters_of(minimum.x)
     return size * scale**2, lengths, white * scale**2
 
 
 def _negative_log_marginal(logs: Array, squares: Array, seen: Array) -> tuple[float, Array]:
     """(-log p(seen) of a Gaussian process up to a constant, its gradient (d + 2,) by `logs`). seen (n, k): values, each
-    column a draw; logs: logarithms of the kernel's variance, the d length scales and the white noise's variance;
-    squares (n, n, d): squared differences of the inputs. With K the covariance: tr(seen' K^-1 seen) / 2 + k log|K| / 2,
-    and d of it = tr((k K^-1 - K^-1 seen seen' K^-1) dK) / 2."""
-    size, lengths, white = _hyper(logs)
+    column one draw; logs: logarithms of the kernel's variance, the d length scales and the white noise's variance;
+    squares (n, n, d): squared differences of the inputs. With K the covariance the value is tr(seen' K^-1 seen) / 2 + k
+    log|K| / 2, and its differential tr((k K^-1 - K^-1 seen seen' K^-1) dK) / 2."""
+    size, lengths, white = _hyperparameters_of(logs)
     smooth = size * np.exp(-0.5 * squares @ lengths**-2.0)
     factor = cho_factor(smooth + (white + JITTER) * np.eye(len(seen)), lower=True)
     weights = cho_solve(factor, seen)
@@ -157,15 +159,16 @@ def _negative_log_marginal(logs: Array, squares: Array, seen: Array) -> tuple[fl
     return float(value), 0.5 * np.array([np.sum(by_size), *by_length, white * np.trace(inner)])
 
 
-def _hyper(logs: Array) -> tuple[float, Array, float]:
-    """(The kernel's variance, its length scales (d,), the white noise's variance), out of their logarithms (d + 2,)."""
+def _hyperparameters_of(logs: Array) -> tuple[float, Array, float]:
+    """(The kernel's variance, its length scales (d,), the white noise's variance), from their logarithms (d + 2,)."""
     values = np.exp(logs)
     return float(values[0]), values[1:-1], float(values[-1])
 
 
 def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
-    """(n, d) The process' inputs at the scored observations of all recordings: those of `_features`, the session's
-    time, the load, and with an oscillation of period swing_s its phase; constant columns are dropped."""
+    """(n, d) The process' inputs at the scored observations of all recordings: the columns of `_features`, the
+    session's time, the load (0 where none was recorded), and sine and cosine of the phase of an oscillation with period
+    swing_s, s, if there is one. Constant columns are dropped."""
     parts = []
     span = float(np.ptp(np.concatenate([segment.motor.q for segment in segments]))) or 1.0
     for segment in segments:
@@ -186,9 +189,10 @@ def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
 
 
 def _features(segment: Segment, span: float) -> Array:
-    """(n, 6) at the observations: motor position and travel since the reversal (_LONGEST_TRAVEL at most) in shares of
-    `span`, the range of all recordings; direction since the reversal (-1, 0, 1); speed in ranges per second;
-    translation in mm and rotation in deg (0 where not recorded)."""
+    """(n, 6) at all observations of a recording. Motor position and travel since the last reversal (at most
+    _LONGEST_TRAVEL), in shares of `span`, the range of all recordings; the sign of that travel; speed in ranges per
+    second; translation in mm and rotation in deg (0 where not recorded). Before the first reversal the travel is from
+    the first motor sample."""
     motor, t = segment.motor, segment.arrival_s
     q = np.interp(t, motor.t_s, motor.q) / span
     direction = np.sign(np.diff(motor.q))
@@ -207,22 +211,22 @@ def _features(segment: Segment, span: float) -> Array:
 
 
 def _swing_period(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:
-    """The period, s, of the sinusoid that explains most of the residuals' power, if that is at least a share _SWINGS
-    and nothing drives it: in some recording neither the motor nor another axis moves at its rate, nor the motor at a
-    subharmonic of it. None where there is none. Powers are summed over parts of each recording, over which neighbouring
-    rates stay in step and enough observations are kept to tell a fast oscillation from a slow one."""
+    """The period, s, of the sinusoid that explains most of the residuals' power. None if it explains less than a share
+    _SWINGS, or if a motion may drive it: in every recording the motor or another axis moves at its rate, or the motor
+    at a subharmonic of it. Powers are summed over parts of each recording that are short enough for the grid of rates
+    (`_coherent_parts`). residuals: (scored, k) of each recording."""
     explained, driven, total = np.zeros(len(_RATES)), np.ones(len(_RATES), dtype=bool), 0.0
     for segment, residual in zip(segments, residuals, strict=True):
         scored_s = segment.arrival_s[segment.scored]
         parts = [part for part in _coherent_parts(scored_s) if len(part) >= _FEWEST_OF_SWING]
         driven_here = np.zeros_like(driven)
         for part in parts:
-            kept = _thinned(part, _SCORED_ON // 2)
+            kept = _evenly_thinned(part, _SCORED_ON // 2)
             variance = np.var(residual[kept], axis=0)
             shares = _sinusoid_shares(_waves(scored_s[kept]), residual[kept])
             explained += np.sum(shares * variance * len(part), axis=1)
             total += float(np.sum(variance)) * len(part)
-            driven_here |= _driven(segment.motor, scored_s[kept])
+            driven_here |= _is_driven(segment.motor, scored_s[kept])
         if parts:
             driven &= driven_here
     best = int(np.argmax(explained))
@@ -232,7 +236,8 @@ def _swing_period(segments: Sequence[Segment], residuals: Sequence[Array]) -> fl
 
 
 def _coherent_parts(t_s: Array) -> list[npt.NDArray[np.int64]]:
-    """Indices of the times t_s (n,), rising, in equal parts of _COHERENT_S at most."""
+    """Splits the indices 0 .. n - 1 of rising times t_s (n,), s, into parts of equal duration, _COHERENT_S at most; []
+    without times."""
     if len(t_s) == 0:
         return []
     count = int(np.ceil((t_s[-1] - t_s[0]) / _COHERENT_S)) or 1
@@ -240,9 +245,10 @@ def _coherent_parts(t_s: Array) -> list[npt.NDArray[np.int64]]:
     return np.split(np.arange(len(t_s)), ends)
 
 
-def _driven(motor: Motor, t_s: Array) -> npt.NDArray[np.bool_]:
-    """(rates,) Whether the motor or another axis moves at each of _RATES at the times t_s (n,), or the motor at a
-    subharmonic of it."""
+def _is_driven(motor: Motor, t_s: Array) -> npt.NDArray[np.bool_]:
+    """(rates,) Whether at each of _RATES the motor or another axis moves with more than a share _DRIVEN of its power,
+    or the motor at a subharmonic of it with more than a share _DRIVES. t_s: times (n,), s, at which the motion is
+    taken."""
     axes = [np.interp(t_s, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg) if x is not None]
     q = np.interp(t_s, motor.t_s, motor.q)
     q_and_speed = np.column_stack([q, np.gradient(q)])
@@ -254,20 +260,21 @@ def _driven(motor: Motor, t_s: Array) -> npt.NDArray[np.bool_]:
 
 
 def _waves(t_s: Array, subharmonic: int = 1) -> npt.NDArray[np.complex128]:
-    """(rates, n) exp(2 pi i rate t) at the times t_s (n,), of each of _RATES over `subharmonic`."""
+    """(rates, n) exp(2 pi i f t) at the times t_s (n,), s, for the frequencies f = _RATES / subharmonic, Hz."""
     return np.asarray(np.exp(2j * np.pi * _RATES[:, None] / subharmonic * t_s))
 
 
 def _sinusoid_shares(waves: npt.NDArray[np.complex128], values: Array) -> Array:
-    """(rates, k) The share of the variance of each column of `values` (n, k) that a sinusoid of each rate explains, 2
-    |sum(wave x)|^2 / (n sum(x^2)). waves: exp(2 pi i rate t), (rates, n)."""
+    """(rates, k) Share of the variance of each column x of `values` (n, k), less its mean, that a sinusoid of each rate
+    explains: 2 |sum(wave x)|^2 / (n sum(x^2)). waves: exp(2 pi i rate t), (rates, n)."""
     centred = values - values.mean(axis=0)
     power = np.maximum(np.sum(centred**2, axis=0), 1e-300)
     return np.asarray(2.0 * np.abs(waves @ centred) ** 2 / (len(values) * power))
 
 
-def _halves(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:
-    """(n,) 0 or 1: the parity of each scored observation's block of manoeuvres, counted through all recordings."""
+def _half_of_each(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:
+    """(n,) For each scored observation of all recordings the half, 0 or 1, that it belongs to: blocks of manoeuvres
+    alternate between the halves, counted through all recordings."""
     count, halves = 0, []
     for segment in segments:
         block = gap.blocks(segment) + count
@@ -276,8 +283,8 @@ def _halves(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:
     return np.concatenate(halves)
 
 
-def _thinned(index: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
-    """At most `most` of these indices, evenly spaced."""
+def _evenly_thinned(index: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
+    """At most `most` of the indices, evenly spaced, the first and the last included."""
     if len(index) <= most:
         return index
     return index[np.linspace(0, len(index) - 1, most).astype(np.int64)]

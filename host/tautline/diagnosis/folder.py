@@ -17,7 +17,8 @@ DOCUMENT = "diagnosis.json"
 
 
 def save(diagnosis: Diagnosis, out: Path) -> None:
-    """Writes the whole folder `out`, or nothing of it. Raises TautError where it cannot be written."""
+    """Writes the diagnosis' files into the folder `out`: all of them or, on failure, none. TautError where it cannot be
+    written."""
     with replaced_folder(out, DOCUMENT) as folder:
         for name, model in (("nominal", diagnosis.nominal), ("corrected", diagnosis.corrected)):
             model.save(folder / name)

@@ -43,13 +43,13 @@ SURELY = 0.95  # loss: a worse model that is handed out costs as much as 19 bett
 
 
 def rms(residuals: Sequence[Array]) -> float:
-    """Root mean square over all numbers of all recordings (a coordinate of a frame each), in the residuals' unit."""
+    """Root mean square over all coordinates of all frames of all recordings, in the residuals' unit."""
     values = np.concatenate([r.ravel() for r in residuals])
     return float(np.sqrt(np.mean(values**2)))
 
 
 def shrinkage(before: float, after: float) -> float:
-    """1 - after / before of the rms of a gap; 0 where there is none. Below 0 where it grows."""
+    """1 - after / before of the rms of a gap; negative where the gap grows, 0 where `before` is 0."""
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
@@ -59,12 +59,12 @@ def noise_floor(
     across: Sequence[Array] | None = None,
     relative: Sequence[float] | None = None,
 ) -> float:
-    """One standard deviation of the sensor's noise per coordinate, px or deg, as first-order autoregressive noise: from
-    the observations while the motor rests, each rest less its straight line. Where it hardly ever rests from `across`
-    (scored, 1 of each recording, px), the residuals across the image's path, in short pieces less a cubic: no motion of
-    the tip is there, and what else moves the image is smooth. Without an image from the residuals' second differences,
-    in which a smooth misfit vanishes. Never below `least_noise`. relative: of each recording, by which its own noise is
-    a multiple of that (`relative_noise`)."""
+    """One standard deviation of the sensor's noise per coordinate, px or deg, at least `least_noise`. It is taken from
+    the first of these sources that has enough samples. (1) The observations while the motor rests, each rest less a
+    straight line. (2) `across` (scored, 1) px of each recording, the residuals across the image's path, in short pieces
+    less a cubic: the tip's motion does not show there, and what else moves the image is smooth. (3) The second
+    differences of the residuals, in which a smooth misfit vanishes. In the first two the noise is autoregressive of
+    first order. relative: how many times as noisy as the tests each recording is (`relative_noise`); default 1."""
     series, order = _noise_series(segments, across, relative)
     each = relative or [1.0] * len(residuals)
     if series:
@@ -75,15 +75,17 @@ def noise_floor(
 
 
 def relative_noise(segments: Sequence[Segment], across: Sequence[Array] | None) -> list[float]:
-    """How many times as noisy as the tests (rms over them) the sensor is in each recording, by the white noise of
-    `across` (as in `noise_floor`), where nothing that moves the tip is seen. All 1 without an image, and where one
-    noise of all is likelier (Schwarz) than one of each."""
+    """For each recording how many times as noisy the sensor is as in the tests (rms over them), by the white noise of
+    `across` (as in `noise_floor`). All 1 without an image or with fewer than _ENOUGH frames in a recording, and where
+    by the Schwarz criterion one noise for all is likelier than one for each."""
     if not across or min(len(each) for each in across) < _ENOUGH:
         return [1.0] * len(segments)
     count = np.array([len(each) for each in across]) / _OF_SECOND_DIFFERENCES  # white samples that tell as much
     least = samples.least_noise(segments[0].unit)
     power = np.array([max(second_difference_noise([each]), least) ** 2 for each in across])
-    gain = float(count @ np.log(count @ power / count.sum() / power))  # of twice the log likelihood
+    # Twice the gain in log likelihood by a noise for each recording: sum of n log(pooled power / own power). Schwarz:
+    # each of the additional noises costs the log of the number of samples.
+    gain = float(count @ np.log(count @ power / count.sum() / power))
     if gain < (len(segments) - 1) * np.log(count.sum()):
         return [1.0] * len(segments)
     of_tests = np.mean([p for p, segment in zip(power, segments, strict=True) if not segment.calibration] or power)
@@ -114,8 +116,9 @@ def noise_samples_per_independent(
     relative: Sequence[float] | None = None,
 ) -> float:
     """How many noise samples, cut to `limit` (px or deg), determine the noise's power as well as one independent
-    Gaussian sample does: (kurtosis - 1) / 2 times (1 + rho^2) / (1 - rho^2), rho the correlation from frame to frame.
-    across, relative: as in `noise_floor`."""
+    Gaussian sample does: (kurtosis - 1) / 2 (1 + rho^2) / (1 - rho^2), with rho the correlation from frame to frame.
+    The kurtosis counts as a Gaussian's, 3, unless it is clearly larger. 1 where no noise is seen. across, relative: as
+    in `noise_floor`."""
     series, order = _noise_series(segments, across, relative)
     if not series:
         return 1.0
@@ -130,11 +133,11 @@ def noise_samples_per_independent(
 def _noise_series(
     segments: Sequence[Segment], across: Sequence[Array] | None, relative: Sequence[float] | None
 ) -> tuple[list[Array], int]:
-    """Short series (n, k) of the sensor's noise, px or deg, each less a polynomial trend of its own, and that trend's
-    order, which costs degrees of freedom. They are the observations of each rest of the motor, less a straight line.
-    Where these have fewer than _ENOUGH degrees of freedom in all, they are pieces of _PIECE frames of `across`, less a
-    cubic. across: (scored, 1) of each recording, px, the residuals across the image's path, where no motion of the tip
-    is. relative: of each recording, how many times as noisy as the tests it is; its series are divided by that."""
+    """(Short series (n, k) of the sensor's noise, px or deg, without outliers; order of the polynomial trend that was
+    subtracted from each, which costs degrees of freedom). The series are the observations of each rest of the motor
+    (trend of order 1) or, where these have fewer than _ENOUGH degrees of freedom in all, pieces of _PIECE frames of
+    `across` (order _PIECE_ORDER). across, relative: as in `noise_floor`; a recording's series are divided by its
+    relative noise."""
     each = relative or [1.0] * len(segments)
     rests = [
         less_its_trend(segment.arrival_s[stretch], segment.observed[stretch] / times)
@@ -142,6 +145,7 @@ def _noise_series(
         for stretch in still_stretches(segment)
         if stretch.stop - stretch.start >= _FEWEST_FRAMES
     ]
+    # A straight line costs two degrees of freedom of each coordinate.
     if sum(rest.size - 2 * rest.shape[1] for rest in rests) >= _ENOUGH:
         return _without_outliers(rests), 1
     pieces = [
@@ -154,8 +158,8 @@ def _noise_series(
 
 
 def _without_outliers(series: Sequence[Array]) -> list[Array]:
-    """The series (n, k) without those whose power is above _NO_NOISE times the median, in which something happened,
-    such as a shift; single frames are cut to _OUTLIER standard deviations."""
+    """The series (n, k) without those whose median square is above _NO_NOISE times the usual one, as something happened
+    in them, such as a shift; in the others single frames are cut to _OUTLIER standard deviations."""
     if not series:
         return []
     power = [float(np.median(np.square(values))) for values in series]
@@ -165,33 +169,33 @@ def _without_outliers(series: Sequence[Array]) -> list[Array]:
 
 
 def least_noise(segments: Sequence[Segment]) -> float:
-    """One standard deviation, px or deg, of the noise that is there even where none is seen: of the rounding to the
-    sensor's step, the coarsest of all recordings, within which a resting sensor shows none; where that is fine, as in a
-    recording that another simulator made, the least that any sensor is taken to have."""
-    step = max(_step(segment.observed) for segment in segments)
+    """One standard deviation, px or deg, of the noise that is assumed where none is seen. It is that of rounding to the
+    coarsest step of the sensor in these recordings, as a resting sensor shows none within a step; at least the smallest
+    noise that any sensor is taken to have."""
+    step = max(_sensor_step(segment.observed) for segment in segments)
     return max(spread.of_rounding(step), samples.least_noise(segments[0].unit))
 
 
 def second_difference_noise(residuals: Sequence[Array]) -> float:
-    """One standard deviation, px or deg, of white noise by the residuals' second differences, whose variance is 6
-    sigma^2. 0 where no recording has three residuals."""
+    """One standard deviation, px or deg, of white noise, from the second differences of the residuals (n, k) of each
+    recording, whose variance is 6 sigma^2. 0 where no recording has three residuals."""
     differences = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
     if not differences:
         return 0.0
     return spread.deviation(np.concatenate(differences)) / float(np.sqrt(6.0))  # equation: 1^2 + (-2)^2 + 1^2
 
 
-def _step(observed: Array) -> float:
-    """The step in which a sensor counts, px or deg: the median difference of its distinct values, of the coarser
-    coordinate; 0 where half of its values or more are distinct. observed: (n, k)."""
+def _sensor_step(observed: Array) -> float:
+    """The step in which a sensor counts, px or deg: the median difference between its distinct values, of the coarser
+    coordinate. 0 where at least half of the values are distinct, so that no step shows. observed: (n, k)."""
     steps = [np.diff(np.unique(np.round(column, _DECIMALS))) for column in observed.T]
     return max((float(np.median(s)) for s in steps if 0 < len(s) < len(observed) // 2), default=0.0)
 
 
 def still_stretches(segment: Segment) -> list[slice]:
-    """The rests of a recording, each a slice of its observations: the motor and the other axes were at rest for
-    _STILL_S before, and still are at the observation's arrival."""
-    starts, ends = _moves(segment.motor)
+    """The rests of a recording as slices of its observations. An observation is at rest if the motor and the other axes
+    rested for the _STILL_S before its arrival and have not moved again by then."""
+    starts, ends = _moving_intervals(segment.motor)
     if len(starts) == 0:
         return [slice(0, len(segment.arrival_s))]
     index = np.searchsorted(ends, segment.arrival_s)
@@ -202,8 +206,9 @@ def still_stretches(segment: Segment) -> list[slice]:
     return stretches(still)
 
 
-def _moves(motor: Motor) -> tuple[Array, Array]:
-    """(Starts, ends), s, rising, of the intervals between two samples in which the motor or another axis moved."""
+def _moving_intervals(motor: Motor) -> tuple[Array, Array]:
+    """(Starts, ends), s, rising, of those intervals between neighbouring motor samples in which the motor or another
+    axis moved."""
     moved = np.zeros(len(motor.t_s) - 1, dtype=bool)
     for values in (motor.q, motor.translation_mm, motor.rotation_deg):
         if values is not None:
@@ -212,12 +217,11 @@ def _moves(motor: Motor) -> tuple[Array, Array]:
 
 
 def blocks(segment: Segment) -> npt.NDArray[np.int64]:
-    """(scored,) For each scored observation the number of its block of manoeuvres, from 0. A recording is cut into as
-    many equal parts as last BLOCK_S each, but into _FEWEST_BLOCKS at least: a fit without a block is to know nearly as
-    much as the fit of all, and a block as much as any other. A part ends where the motor turns, stops or starts, if it
-    does within a share _TO_A_TURN of a part. Every other block has to hold both directions, as one direction alone does
-    not tell a width from an offset: if these do not, the cuts are where equal parts meet, and the parts as many more as
-    it takes, up to _MOST_PARTS; where none do the recording is one block."""
+    """(scored,) For each scored observation the number, from 0, of its block of manoeuvres. Equal parts of about
+    BLOCK_S, at least _FEWEST_BLOCKS, end where the motor turns, stops or starts, if it does so within a share
+    _TO_A_TURN of a part. Even and odd blocks must each contain both directions of motion, as one direction does not
+    tell a width from an offset. If they do not, equal parts without that shift are tried, with more and more parts up
+    to _MOST_PARTS; if none fits, the recording is one block."""
     t = segment.arrival_s[segment.scored]
     number = np.zeros(len(t), dtype=np.int64)
     if len(t) < 3:
@@ -226,21 +230,22 @@ def blocks(segment: Segment) -> npt.NDArray[np.int64]:
     direction = np.sign(np.gradient(q))
     turns_s = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
     count = max(int((t[-1] - t[0]) / BLOCK_S), _FEWEST_BLOCKS)
-    at_turns = _moved_to_turns(_equal_parts(t, count), turns_s, _TO_A_TURN * (t[-1] - t[0]) / count)
-    for cuts in (at_turns, *(_equal_parts(t, n) for n in range(count, max(count, _MOST_PARTS) + 1))):
+    at_turns = _cuts_moved_to_turns(_equal_cuts(t, count), turns_s, _TO_A_TURN * (t[-1] - t[0]) / count)
+    for cuts in (at_turns, *(_equal_cuts(t, n) for n in range(count, max(count, _MOST_PARTS) + 1))):
         number[:] = np.searchsorted(cuts, t, side="right")
         if all(_goes_both_ways(direction[number % 2 == half]) for half in (0, 1)):
             return number
     return np.zeros_like(number)
 
 
-def _equal_parts(t_s: Array, count: int) -> Array:
-    """(count - 1,) Where equal parts of the time from the first to the last of t_s (n,) meet."""
+def _equal_cuts(t_s: Array, count: int) -> Array:
+    """(count - 1,) Times, s, that divide the interval from the first to the last of t_s (n,) into `count` equal
+    parts."""
     return np.linspace(t_s[0], t_s[-1], count + 1)[1:-1]
 
 
-def _moved_to_turns(equal: Array, turns_s: Array, most_s: float) -> Array:
-    """Where `equal` parts (n,) meet, each at the nearest of the motor's turns (m,) if that is no further than
+def _cuts_moved_to_turns(equal: Array, turns_s: Array, most_s: float) -> Array:
+    """The dividing times `equal` (n,), s, each replaced by the nearest of the motor's turns (m,), s, if that is within
     most_s."""
     if len(turns_s) == 0:
         return equal
@@ -249,7 +254,8 @@ def _moved_to_turns(equal: Array, turns_s: Array, most_s: float) -> Array:
 
 
 def _goes_both_ways(direction: Array) -> bool:
-    """Whether either direction has more than a share _EACH_WAY of the moving samples. direction: (n,) -1, 0 or 1."""
+    """Whether each direction has more than a share _EACH_WAY of the moving samples. direction: (n,) -1, 0 (at rest) or
+    1."""
     moving = int(np.count_nonzero(direction))
     fewer = min(np.count_nonzero(direction > 0), np.count_nonzero(direction < 0))
     return bool(fewer > _EACH_WAY * max(moving, 1))
@@ -257,28 +263,29 @@ def _goes_both_ways(direction: Array) -> bool:
 
 def shrink_interval_elsewhere(ratio: float, excess: tuple[float, float]) -> tuple[float, float]:
     """(Low, high) end of the 90 % interval of the shrinkage 1 - after / before on a motion that was not recorded.
-    ratio: after / before on the recorded ones. excess: learnt 5 and 95 % quantiles of `normalised_excess` over unseen
-    motions."""
+    ratio: after / before on the recorded motions. excess: learnt 5 and 95 % quantiles of `normalised_excess` over
+    unseen motions."""
     low, high = (ratio + end * _ratio_spread(ratio) for end in excess)
     return 1.0 - high, 1.0 - max(low, 0.0)
 
 
 def normalised_excess(ratio: float, realised: float) -> float:
-    """By how much the ratio after / before of an unseen motion (`realised`) exceeds that of the recorded motions
-    (`ratio`), in units of `_ratio_spread`: comparable between large and small gaps."""
+    """How much larger the ratio after / before is on an unseen motion (`realised`) than on the recorded ones (`ratio`),
+    in units of `_ratio_spread(ratio)`, so that large and small gaps compare."""
     return (realised - ratio) / _ratio_spread(ratio)
 
 
 def _ratio_spread(ratio: float) -> float:
-    """The typical spread of the ratio r = after / before between motions, (r + 0.05) max(1 - r, 0.05): proportional to
-    what is left and to what was closed, with _LEAST_LEFT of either."""
+    """The typical spread between motions of the ratio r = after / before: (r + e) max(1 - r, e) with e = _LEAST_LEFT,
+    proportional to what is left and to what was closed."""
     return (ratio + _LEAST_LEFT) * max(1.0 - ratio, _LEAST_LEFT)
 
 
 def unseen(before: float, after: float, floor: float, excess: tuple[float, float]) -> float:
     """One standard deviation, px or deg, of a reading of an unseen motion about its corrected prediction: the sensor's
-    noise is the same, and the misfit above it is larger by as much as on other unseen motions. before, after: rms
-    before and after the correction; floor: of the noise; excess: as in `shrink_interval_elsewhere`."""
+    noise is as before, and the misfit above it grows as it did on other unseen motions. before, after: rms before and
+    after the correction; floor: of the noise; excess: 5 and 95 % quantiles as in `shrink_interval_elsewhere`, taken as
+    those of a normal distribution."""
     misfit = float(np.sqrt(max(after**2 - floor**2, 0.0)))
     closed = max(1.0 - misfit / before, 0.0) if before > 0.0 else 0.0
     mean, deviation = 0.5 * (excess[0] + excess[1]), 0.5 * (excess[1] - excess[0]) / spread.NINE_OF_TEN
@@ -287,8 +294,8 @@ def unseen(before: float, after: float, floor: float, excess: tuple[float, float
 
 
 def residuals_per_independent(residuals: Sequence[Array]) -> float:
-    """How many successive residuals count as one independent one, 1 + 2 times the sum of their autocorrelation; 1 where
-    no recording is longer than _LONGEST_LAG."""
+    """How many successive residuals tell as much as one independent one: 1 + 2 times the sum of their autocorrelation.
+    Only recordings longer than _LONGEST_LAG count; 1 where there are none. residuals: (n, k) of each recording."""
     long = [r - r.mean(axis=0) for r in residuals if len(r) > _LONGEST_LAG + 1]
     if not long:
         return 1.0
@@ -304,8 +311,8 @@ def with_intervals(
     excess: tuple[float, float],
 ) -> dict[str, Any]:
     """The object `gap` of diagnosis.json. before, after: residuals (scored, k) of each of `segments`; floor: of the
-    noise; excess: as in `shrink_interval_elsewhere`. The shrinkage's interval covers both other blocks of the recorded
-    motions (bootstrap) and motions that were not recorded."""
+    noise; excess: as in `shrink_interval_elsewhere`. The interval of the shrinkage covers other blocks of the recorded
+    motions (bootstrap) as well as motions that were not recorded."""
     rms_before, rms_after = rms(before), rms(after)
     drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
     other_blocks = spread.interval(np.array([shrinkage(*rms_of_both) for rms_of_both in drawn.T]), _SHRINK_SHARE)
@@ -323,24 +330,31 @@ def with_intervals(
 
 
 def probability_of_shrinking(before: Sequence[Array], after: Sequence[Array], segments: Sequence[Segment]) -> float:
-    """The share of bootstrap draws of the blocks in which the residuals `after` have a smaller rms than `before`."""
+    """The share, 0 to 1, of bootstrap draws of the blocks in which `after` has a smaller rms than `before`; residuals
+    (scored, k) of each of `segments`."""
     drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
     return float(np.mean(drawn[1] < drawn[0]))
 
 
 def bootstrap(before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]]) -> Array:
-    """(2, _DRAWS) rms of `before` and of `after` in each bootstrap draw of the blocks, drawn with replacement, the same
-    ones for both. A block is drawn in proportion to its length, so that a draw is like the recordings however unequal
-    they were cut, and as many are drawn as equal blocks would tell the mean as well (Kish's effective number). labels:
-    (scored,) of each recording, the number of each observation's block."""
+    """(2, _DRAWS) rms of `before` and of `after` in each bootstrap draw of blocks, with replacement, the same blocks
+    for both. A block is drawn with a probability proportional to its length, and as many as there are effective blocks
+    (Kish: 1 / sum of squared shares), so that a draw resembles the recordings however unequal the blocks are. The seed
+    is fixed. labels: (scored,) of each recording, the number of each observation's block."""
     blocks_of = []  # of each block: both mean squares, how many numbers
-    for b, a, label in zip(before, after, labels, strict=True):
+    for residual_before, residual_after, label in zip(before, after, labels, strict=True):
         for number in np.unique(label):
-            here = label == number
-            blocks_of.append((float(np.mean(b[here] ** 2)), float(np.mean(a[here] ** 2)), int(b[here].size)))
+            in_block = label == number
+            blocks_of.append(
+                (
+                    float(np.mean(residual_before[in_block] ** 2)),
+                    float(np.mean(residual_after[in_block] ** 2)),
+                    int(residual_before[in_block].size),
+                )
+            )
     table = np.array(blocks_of)
     share = table[:, 2] / table[:, 2].sum()
     effective = round(1.0 / float(np.sum(share**2)))
-    drawn = np.random.default_rng(_SEED).choice(len(table), (_DRAWS, effective), p=share)
-    result: Array = np.sqrt(table[drawn, :2].mean(axis=1)).T
+    chosen = np.random.default_rng(_SEED).choice(len(table), (_DRAWS, effective), p=share)
+    result: Array = np.sqrt(table[chosen, :2].mean(axis=1)).T
     return result

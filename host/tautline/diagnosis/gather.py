@@ -32,7 +32,7 @@ _WIDTH_THEN_ALL = ((WIDTH,), None)  # ids of what another posture changes that a
 
 @dataclass(frozen=True)
 class Gathered:
-    """All fitted hypotheses: as evidence for the verdict, and as fits."""
+    """All fitted hypotheses, both as evidence for the verdict and as fits."""
 
     evidence: CaseEvidence
     candidates: list[Candidate]  # of each of the evidence's hypotheses, in their order
@@ -46,15 +46,16 @@ def gather(
     progress: Progress,
     scopes: Sequence[Scope] = tuple(Scope),
 ) -> Gathered:
-    """The evidence for a verdict: fits of single effects, then of further ones on top of the most probable. frozen:
+    """Gathers the evidence for a verdict: fits single effects, then further ones on top of the most probable. frozen:
     residuals (scored, k) of each recording by the calibrated model as it is. base: the recalibrated nominal model's
-    fit. kinds: effects to try. scopes: since when an effect may be there. With START alone it was there while
-    calibrating, so that what the model leaves of its own calibration is the effect's and no misfit of the model."""
+    fit. kinds: effects to try. progress: called with the share that is done and what is done now. scopes: since when an
+    effect may be there; with START alone, what the model leaves of its own calibration is attributed to the effect and
+    not to the model."""
     fits = 0
     expected = _REFITS + _RESCOPED + sum(_EXTENDED) * _FURTHER_REFITS
 
     def report(text: str) -> None:
-        """Counts one more fit and reports the share of the expected number."""
+        """Counts one more fit, and reports it with the share of the expected number of fits, 1 at most."""
         nonlocal fits
         fits += 1
         progress(min(1.0, fits / expected), text)
@@ -84,12 +85,12 @@ def gather(
 
 
 class _Hypotheses:
-    """The hypotheses fitted so far, and which further ones are worth a fit."""
+    """The hypotheses fitted so far, with their evidence; it decides which further ones are worth a fit."""
 
     def __init__(self, search: Search, frozen: Array, calibrated: float) -> None:
-        """frozen: (blocks,) mean squares by the calibrated model as it is. calibrated: its mean square on its own
-        calibration, 0 where an effect may have been there then; both px^2 or deg^2, each recording's over its noise
-        beside the tests' (`Fitter.relative_noise`)."""
+        """frozen: (blocks,) mean squares by the calibrated model as it is. calibrated: mean square of what that model
+        leaves of its own calibration, 0 where an effect may have been there then. Both are px^2 or deg^2, each
+        recording's divided by the square of its relative noise (`Fitter.relative_noise`)."""
         self.search, self._frozen, self._calibrated = search, frozen, calibrated
         self.candidates: list[Candidate] = []
         self._weighed: list[Weighed] = []  # of each candidate
@@ -97,10 +98,10 @@ class _Hypotheses:
         self._log_ratios: dict[tuple[int, int], float] = {}  # of another hypothesis to one of laws, by their indices
 
     def add(self, candidate: Candidate, events: bool = False) -> None:
-        """Adds a fitted hypothesis to the evidence. events: whether also every event (an effect without a path) on top
-        of it, identified by the scatter of its residuals."""
+        """Adds a fitted hypothesis to the evidence. events: add also, for each event (effect without a path) and each
+        scope, the hypothesis with this event on top, which is identified by the scatter of the residuals."""
         no_scatter = np.zeros_like(candidate.power)
-        self._append(candidate, no_scatter, no_scatter)
+        self._append_with_evidence(candidate, no_scatter, no_scatter)
         if not events:
             return
         kinds = [kind for kind in self.search.kinds if kind.event]
@@ -111,9 +112,9 @@ class _Hypotheses:
                 fit = replace(candidate.fit, hypothesis=candidate.fit.hypothesis.plus(kind, scope))
                 self._add_event(replace(candidate, fit=fit, beyond=beyond[kind.id]), kind, explained)
 
-    def _append(self, candidate: Candidate, scatter: Array, rival: Array) -> None:
-        """Appends a candidate and its evidence: what it leaves with by how much recordings contradict each other, and
-        the tests of its effects. scatter, rival (blocks,): as in Weighed."""
+    def _append_with_evidence(self, candidate: Candidate, scatter: Array, rival: Array) -> None:
+        """Appends a candidate and its evidence. Its power in the evidence contains how much recordings contradict each
+        other (`power_with_surprise`). scatter, rival (blocks,): as in `Weighed`."""
         self.candidates.append(candidate)
         self._weighed.append(
             Weighed(
@@ -130,28 +131,31 @@ class _Hypotheses:
         )
 
     def _explained_scatter(self, candidate: Candidate, tests_only: bool) -> Scatter:
-        """How well each event and each rival explains the scatter that a fit leaves. tests_only: for an event that came
-        after the calibration."""
+        """How well each event, and each rival explanation, predicts the scatter that a fit leaves. tests_only: without
+        the calibration, for an event that came after it."""
         return scatter.of_fit(self.search.fitter, candidate.fit, self.search.labels, tests_only)
 
     def _add_event(self, candidate: Candidate, kind: Kind, explained: Scatter) -> None:
-        """Adds `candidate` with what the scatter that it leaves says of the event `kind`: by block the log-likelihood
-        of the event, and of the best rival explanation, against the residuals as they are."""
+        """Adds `candidate` with the evidence for the event `kind` in the scatter that it leaves: for each block the
+        log-power by the event, and by the best rival explanation, each less that of the residuals as they are."""
         rivals = (explained.loss[name] for name in scatter.RIVALS if name != kind.id)
         rival = min(rivals, key=lambda loss: float(np.mean(loss)))
         assert kind.event
         candidate = replace(candidate, scatters={kind.event.amount: explained.amount[kind.id]})
-        self._append(candidate, explained.loss[kind.id] - explained.plain, rival - explained.plain)
+        self._append_with_evidence(candidate, explained.loss[kind.id] - explained.plain, rival - explained.plain)
 
     def _add_with_mean_effect(self, candidate: Candidate) -> None:
-        """Adds a fit that has an event's mean effect among its parameters, with what its scatter says of that event."""
+        """Adds a fit that contains an event with its mean effect, together with the evidence for that event in its
+        scatter."""
         kind = next(kind for kind in candidate.fit.hypothesis.kinds if kind.event and kind.event.mean)
         self._add_event(candidate, kind, self._explained_scatter(candidate, tests_only=True))
 
     def add_single(self, candidates: Sequence[Candidate]) -> None:
-        """Adds fits of single effects, given the best first. Where the best leaves more than a right effect does, an
-        event or another posture may hide which one it is: then also events on top of each, all that another posture
-        changes, and the mean effects of events."""
+        """Adds fits of single effects, given with the best first, and events on top of the best one and of those that
+        it contains. If the best one leaves more than a right effect does, an event or another posture may hide the
+        right effect: then events on top of every fit, another posture, and the mean effects of events are added too. If
+        it leaves more than noise, so are fits of effects with the parts of the nominal model that they bring. Where no
+        effect may have come after the calibration only events are added."""
         if not candidates:
             return
         best = candidates[0]
@@ -176,17 +180,17 @@ class _Hypotheses:
                 self._add_mean_effects(no_posture)
 
     def _add_posture(self, candidates: Sequence[Candidate]) -> None:
-        """Adds one fit in which all that another posture of the shaft changes is free at once: B, the offset and
-        f_remain. It goes on top of the first of `candidates` (single effects) that is itself such a change, else on top
-        of the nominal model."""
+        """Adds one fit in which everything that another posture of the shaft changes (B, offset, f_remain) is free at
+        once: on top of the first of `candidates` (single effects) that is itself such a change, else on top of the
+        nominal model."""
         part = next((one for one in candidates if one.fit.hypothesis.kinds[0].posture), self.search.base)
         candidate = self.search.with_posture(part)
         if candidate is not None:
             self.add(candidate)
 
     def _add_mean_effects(self, below: Candidate) -> None:
-        """Adds fits of events after the calibration by their mean effect, on top of `below`, where these explain its
-        scatter better than noise of another level does."""
+        """Adds, on top of `below`, fits of events after the calibration by their mean effect; only of events that
+        explain the scatter of `below` better than noise of another level does."""
         explained = self._explained_scatter(below, tests_only=True)
         for kind in self.search.kinds:
             if kind.event and kind.event.mean and explained.beats_noise(kind.id):
@@ -195,26 +199,26 @@ class _Hypotheses:
                     self._add_with_mean_effect(candidate)
 
     def add_posture_where_no_effect_suffices(self, below: Candidate, further: Sequence[Candidate]) -> None:
-        """Adds another posture on top of `below` where each of the fits of one more effect on it, `further`, leaves
-        more than noise: one that leaves only that does so with fewer parameters. Nothing where no effect may have come
-        after the calibration."""
+        """Adds another posture on top of `below` if every fit of one more effect on it (`further`) leaves more than
+        noise; an effect that leaves only noise is preferred, as it has fewer parameters. Does nothing where no effect
+        may have come after the calibration."""
         if self.search.allows_later_effects and all(map(self.is_open, further)):
             self._add_with_posture(below)
 
     def add_posture_beside_delay(self) -> None:
-        """Adds another posture on top of a delay alone, for an angle sensor: without an image a delay and a change of B
-        look alike at one speed, so that no single effect may be right. Only if the delay alone was fitted, even the
-        best single effect leaves more than noise, and an effect may have come after the calibration."""
+        """Adds another posture on top of a delay, for an angle sensor: without an image a delay and a change of B look
+        alike at one speed, so that no single effect may be right. Only if the delay alone was fitted, the best single
+        effect leaves more than noise, and an effect may have come after the calibration."""
         if self.search.allows_later_effects and not self.search.fitter.px:
             delay = next((candidate for candidate in self.candidates if candidate.ids == (DELAY,)), None)
             if delay is not None and self._best_single_is_open():
                 self._add_with_posture(delay)
 
     def _add_with_posture(self, below: Candidate) -> None:
-        """Adds fits for the case that another machine was calibrated, such as a simulator, whose nominal model is not
-        this one's. To `below` is added another width, then all that another posture changes; first with a width that
-        changes by a constant, then by a curve, which can imitate a lag. The first fit that leaves only noise is the
-        last. Nothing is added to what was there from the start, or is itself another posture's."""
+        """Adds fits of `below` with another width, then with all that another posture changes; first with a constant
+        change of the width, then with a curve, which can imitate a lag. It stops after the first fit that leaves only
+        noise. This covers a calibration made on another machine, such as a simulator, with another nominal model. Does
+        nothing where the first effect of `below` was there from the start or is itself a posture's."""
         first_kind, first_scope = below.fit.hypothesis.kinds[0], below.fit.hypothesis.scopes[0]
         if first_scope == Scope.START or first_kind.posture:
             return
@@ -229,7 +233,8 @@ class _Hypotheses:
                         return
 
     def add_further(self, candidates: Sequence[Candidate]) -> None:
-        """Adds fits of several effects, given the best first; on the best one also events."""
+        """Adds fits of several effects, given with the best first; on top of the best one also events, unless it has
+        _MOST_EFFECTS already."""
         for i, candidate in enumerate(candidates):
             if set(candidate.ids) & EVENTS:
                 self._add_with_mean_effect(candidate)
@@ -237,18 +242,20 @@ class _Hypotheses:
                 self.add(candidate, events=i == 0 and len(candidate.ids) < _MOST_EFFECTS)
 
     def is_open(self, candidate: Candidate) -> bool:
-        """Whether a fit leaves more than noise and what a sound calibration leaves."""
+        """Whether a fit leaves more than noise and what a sound calibration leaves (`decide.is_open`)."""
         return decide.is_open(self.evidence(), candidate.power)
 
     def _best_single_is_open(self) -> bool:
-        """Whether the single effect with the least power leaves more than noise."""
+        """Whether the single effect with the smallest mean power leaves more than noise; False where none was
+        fitted."""
         singles = [candidate for candidate in self.candidates if len(candidate.ids) == 1]
         return bool(singles) and self.is_open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))
 
     def next_to_extend(self, size: int) -> Candidate | None:
-        """The most probable hypothesis of `size` effects on top of which a further one is to be fitted: one whose path
-        contains all of them, not extended before; None where it leaves only noise, or there is none. The tests of
-        whether its effects are the cause (`beyond`, `wanders`) do not count, as a missing effect fails them too."""
+        """The most probable hypothesis of `size` effects that was not extended before and of which some fit's path
+        contains all effects; it is marked as extended. None where it leaves only noise, or there is none. The tests of
+        whether its effects are the cause (`beyond`, `wanders`) do not count here, as a missing effect fails them
+        too."""
         evidence = self.evidence()
         without_tests = tuple(replace(h, beyond=None, wanders=()) for h in evidence.hypotheses)
         verdict = decide.decide(replace(evidence, hypotheses=without_tests))
@@ -265,12 +272,12 @@ class _Hypotheses:
         return None
 
     def evidence(self) -> CaseEvidence:
-        """The evidence of all hypotheses so far, as `decide` takes it."""
+        """The evidence of all hypotheses so far, as `decide.decide` takes it."""
         fitter = self.search.fitter
         return CaseEvidence(
             floor=fitter.floor,
             frozen=self._frozen,
-            hypotheses=tuple(replace(h, chance=self._chance(i)) for i, h in enumerate(self._weighed)),
+            hypotheses=tuple(replace(h, chance=self._chance_of_other(i)) for i, h in enumerate(self._weighed)),
             applicable=len(self.search.kinds),
             calibrated=self._calibrated,
             noisier=fitter.noisier,
@@ -278,9 +285,10 @@ class _Hypotheses:
             unsteady=fitter.unsteady,
         )
 
-    def _chance(self, index: int) -> float:
-        """For the candidate with this index, if its effects are laws: the probability that some other single effect
-        leaves so much less though the law is right (exact.py); else 1."""
+    def _chance_of_other(self, index: int) -> float:
+        """If the effects of the candidate with this index are laws: the probability that the other single effect that
+        leaves least does so by noise alone, although the candidate is right (exact.py). Else 1. Ratios of pairs are
+        kept."""
         candidate, search = self.candidates[index], self.search
         if not exact.is_law(candidate.ids):
             return 1.0

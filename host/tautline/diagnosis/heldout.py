@@ -31,14 +31,15 @@ Labels = Sequence[npt.NDArray[np.int64]]  # (scored,) of each recording: the num
 def residuals_and_surprise(
     fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
 ) -> tuple[list[Array], list[Array]]:
-    """(scored, k) for each recording: the residual of every block of manoeuvres by the fit without that block; and
-    (scored,) px^2 or deg^2 a coordinate over the square of its relative noise, by how much the recording as a whole
-    contradicts the fit of the others (`_surprise`); 0 of a recording of one block, whose held-out residuals are by the
-    others already. rows: of the fit (Fitter.linearised). limits: of each recording, px or deg, beyond which an
-    observation counts linearly (Huber)."""
+    """(Held-out residuals (scored, k), surprise (scored,)) of each recording. The former are the residuals of every
+    block of manoeuvres by the fit without that block. The latter, px^2 or deg^2 a coordinate over the square of the
+    relative noise, is how much the recording as a whole contradicts the fit of the others (`_surprise`); 0 for a
+    recording of one block, whose held-out residuals are by the others already. rows: of the fit (Fitter.linearised).
+    limits: of each recording, px or deg, beyond which a residual counts linearly (Huber)."""
     matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
     blocks_of = [
-        _blocks(fitter, *recording) for recording in zip(rows, labels, limits, fitter.relative_noise, strict=True)
+        _blocks_of_recording(fitter, *recording)
+        for recording in zip(rows, labels, limits, fitter.relative_noise, strict=True)
     ]
     for blocks in blocks_of:
         for block in blocks:
@@ -47,14 +48,14 @@ def residuals_and_surprise(
     normals = [_sum_of([block.normal for block in blocks]) for blocks in blocks_of]
     # A parameter at the end of its range, or a fit that is not yet at its best, has a gradient left in all recordings
     # alike, which is no difference between them: gradients are taken after this step.
-    to_optimum = _step(matrix, _sum_of(normals).gradient, scale)
+    to_optimum = _solution(matrix, _sum_of(normals).gradient, scale)
     held_out, surprise = [], []
     for row, blocks, normal in zip(rows, blocks_of, normals, strict=True):
         residual = row.residual.copy()
         for block in blocks:
             without = matrix - (1.0 - STAYS) * block.normal.matrix
             step = -scale * scaled_solution(without, (1.0 - STAYS) * scale * block.normal.gradient, scale)
-            residual[block.here] -= fitter.moved(block.rows, step)
+            residual[block.in_block] -= fitter.moved(block.rows, step)
         held_out.append(residual)
         single = len(blocks) == 1
         surprise.append(
@@ -64,14 +65,15 @@ def residuals_and_surprise(
 
 
 def _surprise(fitter: Fitter, row: Rows, normal: Normal, matrix: Array, scale: Array, to_optimum: Array) -> Array:
-    """(scored,) px^2 or deg^2 a coordinate: g' (N - N_r)^-1 g of one recording r, spread over its observations by how
-    much its step (N - N_r)^-1 g moves the prediction there. It is the increase of the recording's quadratic form e' (I
-    + J (N - N_r)^-1 J')^-1 e, by the marginal prediction of the fit of all others, over what the fit of all leaves:
-    nothing where the others do not determine the parameters that it needs, much where they determine other values.
-    matrix: N, with the prior; normal: N_r and the gradient before the step to_optimum (m,); scale (m,): of the
+    """(scored,) px^2 or deg^2 a coordinate: g' (N - N_r)^-1 g of one recording r, spread over its observations in
+    proportion to the square of what its step (N - N_r)^-1 g changes in the prediction there. It equals e' (I + J (N -
+    N_r)^-1 J')^-1 e, the quadratic form of the residuals e by the fit of the others under its marginal prediction (J:
+    their derivatives), minus the recording's squares that the fit of all leaves. It is small where the others do not
+    determine the parameters that the recording needs, and large where they determine other values. matrix: N, with the
+    prior; normal: N_r, with the gradient before the step to_optimum (m,), after which g is taken; scale (m,): of the
     unknowns."""
     gradient = normal.gradient - normal.matrix @ to_optimum
-    step = _step(matrix - normal.matrix, gradient, scale)
+    step = _solution(matrix - normal.matrix, gradient, scale)
     moved = np.sum(fitter.moved(row, step) ** 2, axis=1)
     share = float(step @ gradient) / max(float(moved.sum()), 1e-300) / row.residual.shape[1]
     return np.asarray(max(share, 0.0) * moved)
@@ -79,33 +81,36 @@ def _surprise(fitter: Fitter, row: Rows, normal: Normal, matrix: Array, scale: A
 
 @dataclass(frozen=True)
 class _Block:
-    """One block of manoeuvres of a recording."""
+    """One block of manoeuvres of a recording, linearised."""
 
-    here: npt.NDArray[np.bool_]  # (scored,) which of the recording's observations
+    in_block: npt.NDArray[np.bool_]  # (scored,) which of the recording's observations are in the block
     rows: Rows
     normal: Normal
 
 
-def _blocks(fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: float, times: float) -> list[_Block]:
-    """The blocks of one recording. label (scored,): the number of each observation's block; limit: of Huber's cost;
-    times: its relative noise."""
+def _blocks_of_recording(
+    fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: float, times: float
+) -> list[_Block]:
+    """Splits a recording into its blocks, each with its normal equations. label (scored,): the number of each
+    observation's block; limit: of Huber's cost, px or deg; times: the recording's relative noise."""
     blocks = []
     for number in np.unique(label):
-        here = label == number
-        rows = _rows_where(row, here)
+        in_block = label == number
+        rows = _rows_where(row, in_block)
         weight = huber_weight(rows.residual, limit) / times**2
-        blocks.append(_Block(here, rows, fitter.normal(rows, weight=weight)))
+        blocks.append(_Block(in_block, rows, fitter.normal(rows, weight=weight)))
     return blocks
 
 
-def _step(matrix: Array, gradient: Array, scale: Array) -> Array:
-    """(m,) The solution of matrix step = gradient, of minimum norm in unknowns scaled by `scale` (m,)."""
+def _solution(matrix: Array, gradient: Array, scale: Array) -> Array:
+    """(m,) The solution x of matrix x = gradient, of minimum norm in the scaled unknowns x / scale where it is not
+    unique. scale: (m,)."""
     return scale * scaled_solution(matrix, scale * gradient, scale)
 
 
 def scaled_solution(matrix: Array, scaled_gradient: Array, scale: Array) -> Array:
-    """(m,) As `_step`, with gradient and solution in the scaled unknowns: by Cholesky's factor, whose smallest pivot
-    tells whether the matrix is regular, else by singular values."""
+    """(m,) The solution y of S y = scaled_gradient with S_ij = scale_i matrix_ij scale_j. By Cholesky's factor if its
+    smallest pivot tells that S is regular; else by singular values, of minimum norm."""
     scaled = matrix * np.outer(scale, scale)
     with suppress(LinAlgError):
         factored, lower = cho_factor(scaled, check_finite=False)
@@ -115,13 +120,13 @@ def scaled_solution(matrix: Array, scaled_gradient: Array, scale: Array) -> Arra
 
 
 def _sum_of(normals: Sequence[Normal]) -> Normal:
-    """The sum of these normal equations."""
+    """The sum of the normal equations: of their matrices, and of their gradients."""
     return Normal(
         np.sum([normal.matrix for normal in normals], axis=0), np.sum([normal.gradient for normal in normals], axis=0)
     )
 
 
-def _rows_where(row: Rows, here: npt.NDArray[np.bool_]) -> Rows:
-    """The rows of the observations where the mask is true."""
-    chosen = {name: getattr(row, name)[here] for name in _PER_OBSERVATION}
+def _rows_where(row: Rows, mask: npt.NDArray[np.bool_]) -> Rows:
+    """The rows of those observations where the mask `here` (scored,) is true."""
+    chosen = {name: getattr(row, name)[mask] for name in _PER_OBSERVATION}
     return replace(row, **chosen)

@@ -17,9 +17,9 @@ _NO_DIVISOR = 1e-12  # tolerance: px or deg: keeps a division finite
 
 
 def huber_cost(residuals: Sequence[Array], limits: Sequence[float], relative_noise: Sequence[float]) -> float:
-    """Twice Huber's cost: r^2 up to the limit L of each recording, 2 L |r| - L^2 beyond, over the square of its
-    `relative_noise`. With a limit of its own a recording that fits badly throughout is no outlier beside those that
-    fit."""
+    """Twice Huber's cost, summed over all recordings: r^2 up to the recording's limit L, 2 L |r| - L^2 beyond it,
+    divided by the square of its relative noise. residuals: (scored, k) of each recording. As each recording has its own
+    limit, one that fits badly throughout does not count as an outlier beside the others."""
     total = 0.0
     for residual, limit, times in zip(residuals, limits, relative_noise, strict=True):
         size = np.abs(residual)
@@ -28,9 +28,9 @@ def huber_cost(residuals: Sequence[Array], limits: Sequence[float], relative_noi
 
 
 def outlier_limit(residual: Array) -> float:
-    """The limit of Huber's cost for one recording's residuals, px or deg: _OUTLIER robust standard deviations, but at
-    least _ABOVE_RARE times what a share _RARE of them exceeds, so that a misfit after every reversal still counts in
-    full. 1 where there are none."""
+    """The limit of Huber's cost for the residuals of one recording, px or deg: _OUTLIER robust standard deviations, but
+    at least _ABOVE_RARE times the size that a share _RARE of them exceeds, so that a misfit after every reversal still
+    counts in full. 1 without residuals."""
     if residual.size == 0:
         return 1.0
     largest = _ABOVE_RARE * float(np.quantile(np.abs(residual), 1.0 - _RARE))
@@ -38,6 +38,6 @@ def outlier_limit(residual: Array) -> float:
 
 
 def huber_weight(residual: Array, limit: float) -> Array:
-    """The weight, 0 to 1, of each residual in iteratively reweighted least squares: limit / |r| beyond the limit."""
+    """The weight of each residual in iteratively reweighted least squares: 1 up to the limit, limit / |r| beyond it."""
     limit = max(limit, _NO_DIVISOR)
     return np.asarray(limit / np.maximum(np.abs(residual), limit))

@@ -22,15 +22,15 @@ _LARGEST_SHARE = 0.99  # limit: of a share or probability that is learnt by its 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """All positive; learnt as logarithms."""
+    """The numbers that a verdict depends on. All are positive, and they are learnt as logarithms."""
 
-    noise_tells: float  # independent numbers in a block of noise: one of a misfit is known to 1/sqrt of it of the noise
+    noise_tells: float  # independent numbers in a block of noise; a block's misfit counts as one number beside them
     block_freedom: float  # degrees of freedom of a block's misfit: how much blocks' misfits differ
     unexplained: float  # share of the gap's power that a right effect may well leave
-    unexplained_by_law: float  # the same of an effect with one equation everywhere (rigid motion, time)
-    unexplained_by_wrong: float  # share from which on the best wrong effect may well leave any
+    unexplained_by_law: float  # share that an effect with one exact equation (rigid motion, time) may well leave
+    unexplained_by_wrong: float  # share at least that the best wrong effect leaves; any larger one is as likely
     mimics: float  # probability, for each parameter of a wrong effect, that it leaves no more than a right one
-    share_spread: float  # standard deviation of the logarithm of a share beyond these
+    share_spread: float  # standard deviation of the logarithm of a share beyond the shares above
     calibration_excess: float  # share of the noise power that a sound calibration leaves above it
     odds_none: float  # prior odds of no effect to one
     odds_unknown: float  # prior odds of an unknown cause to one effect
@@ -39,14 +39,14 @@ class Hyperparameters:
     odds_each: float  # prior odds of an effect with amplitudes of its own in each recording, to one that stays
     parameter_price: float  # multiple of the Bayesian information criterion's price of a parameter
     floor_known: float  # standard deviation of the logarithm of the noise's power between cases
-    floor_steady: float  # the same between the blocks of a case
+    floor_steady: float  # standard deviation of the logarithm of the noise's power between the blocks of a case
     wanders: float  # mean share by which the amplitude of a right effect of geometry or time varies
-    wanders_material: float  # the same of one of friction or material, of a simulator's parameter or a user's effect
+    wanders_material: float  # mean share for effects of friction or material, a simulator's parameters, users' effects
     disturbed: float  # share of blocks in which something happens that no model has, such as the moment of a shift
 
     def mimicked(self, parameters: Array | float) -> Array:
-        """(...,) Probability that wrong effects with so many parameters (...,) leave no more than right ones, 1 - (1 -
-        mimics)^parameters: each parameter is a chance to follow the cause."""
+        """Probability that a wrong effect with so many parameters (any shape) leaves no more than a right one: 1 - (1 -
+        mimics)^parameters, as each parameter, at least one, is a chance to follow the cause."""
         return np.asarray(1.0 - (1.0 - self.mimics) ** np.maximum(parameters, 1))
 
     def logarithms(self) -> Array:
@@ -55,7 +55,7 @@ class Hyperparameters:
 
     @classmethod
     def of_logarithms(cls, values: Array) -> Hyperparameters:
-        """The inverse of `logarithms`; shares and probabilities are kept at _LARGEST_SHARE or below."""
+        """The inverse of `logarithms`, except that shares and probabilities (_SHARES) are limited to _LARGEST_SHARE."""
         by_name = {f.name: math.exp(v) for f, v in zip(fields(cls), values, strict=True)}
         kept = {name: min(value, _LARGEST_SHARE) if name in _SHARES else value for name, value in by_name.items()}
         return cls(**kept)
@@ -76,7 +76,8 @@ class Learnt:
     later: tuple[float, float] = (0.0, 0.0)  # the same where a named effect grows with time: an unseen motion is later
 
     def to_toml(self, cases: Mapping[str, int]) -> str:
-        """As TOML text. cases: the number of cases of each generator it was learnt on."""
+        """The content of FILE as TOML text, numbers rounded to four digits (the quantiles to three). cases: of how many
+        cases of each generator it was learnt."""
         center = {name: float(f"{value:.4g}") for name, value in asdict(self.center).items()}
         learnt_on = {"cases": dict(cases), "covers": float(f"{self.covers:.4g}")}
         ends = {
@@ -87,15 +88,15 @@ class Learnt:
 
     @classmethod
     def of_toml(cls, document: Mapping[str, object]) -> Learnt:
-        """Out of a parsed TOML document as `to_toml` writes it."""
+        """Reads a parsed TOML document as `to_toml` writes it; its `cases` are not kept."""
         center = document["center"]
         assert isinstance(center, dict) and isinstance(document["covers"], float)
-        elsewhere, later = _ends(document["elsewhere"]), _ends(document["later"])
+        elsewhere, later = _interval_of(document["elsewhere"]), _interval_of(document["later"])
         return cls(Hyperparameters(**center), document["covers"], elsewhere, later)
 
 
-def _ends(interval: object) -> tuple[float, float]:
-    """(Low, high) end of an interval, which is a list of two in TOML."""
+def _interval_of(interval: object) -> tuple[float, float]:
+    """(Low, high) end of an interval that TOML has as a list of two numbers."""
     assert isinstance(interval, list)
     low, high = interval
     return float(low), float(high)
@@ -106,5 +107,5 @@ NAMES = tuple(field.name for field in fields(Hyperparameters))
 
 @cache
 def learnt() -> Learnt:
-    """What the package's FILE holds, read once."""
+    """The content of the package's FILE, which is read once."""
     return Learnt.of_toml(tomllib.loads(resources.files(__package__).joinpath(FILE).read_text("utf-8")))

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Beyond:
-    """What is left that no law of the stages of a hypothesis' effects could leave (confined.py)."""
+    """The power of what is left that no law of the stages of a hypothesis' effects could leave (confined.py)."""
 
     power: Array  # (blocks,)
     count: Array  # (blocks,) how many independent numbers each is the mean of
@@ -27,8 +27,9 @@ class Beyond:
 
 @dataclass(frozen=True)
 class Wander:
-    """How an effect's amplitude varies over place, speed, time, side and load (wander.py): normal equations of m
-    factors on functions of these, over the noise's power; a factor is a share of all that the hypothesis adds."""
+    """The evidence of how an effect's amplitude varies over place, speed, time, side and load (wander.py). The effect's
+    signal is multiplied by m functions of these, each with a factor to estimate; here are the normal equations of the m
+    factors, over the noise's power. A factor is a share of all that the hypothesis adds to the prediction."""
 
     id: str  # of the effect
     matrix: Array  # (m, m)
@@ -38,7 +39,7 @@ class Wander:
     @property
     def between(self) -> tuple[str, float, float]:
         """(The axis along which the amplitude varies most, the amplitude at its low end, at its high end), as multiples
-        of the fitted amplitude. The m factors are posterior means with a prior N(0, 1/m) each."""
+        of the fitted amplitude. The factors are taken as their posterior means, each with the prior N(0, 1/m)."""
         m = len(self.gradient)
         factors = np.linalg.solve(self.matrix + m * np.eye(m), self.gradient)
         amplitudes = {axis: 1.0 + ends @ factors for axis, ends in self.ends.items()}
@@ -48,29 +49,30 @@ class Wander:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Wander:
-        """Out of what CaseEvidence.to_json has of it."""
+        """Reads an entry of `wanders` as CaseEvidence.to_json writes it."""
         ends = {axis: np.array(values) for axis, values in document["ends"].items()}
         return cls(document["id"], np.array(document["matrix"]), np.array(document["gradient"]), ends)
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """The evidence of one hypothesis: effects on top of the recalibrated nominal model."""
+    """The evidence of one hypothesis, which is a set of effects on top of the recalibrated nominal model."""
 
     ids: tuple[str, ...]  # of its effects in the order they were added; () is the nominal model alone
     power: Array  # (blocks,) held-out power, with how much each recording contradicts the others
     scatter: Array  # (blocks,) logarithm of the factor on the power by which an event explains scatter; 0 without one
-    rival: Array  # (blocks,) the same of the best explanation of the scatter that is no event
+    rival: Array  # (blocks,) logarithm of the factor of the best explanation of the scatter that is no event
     parameters: int  # effective number of parameters, for the information criterion
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
-    chance: float = 1.0  # of a law: probability that another effect leaves so much less by chance (exact.py)
+    chance: float = 1.0  # of a law: probability that noise alone makes another effect leave as much less (exact.py)
     wanders: tuple[Wander, ...] = ()  # of its effects that have a path
     each: bool = False  # whether an effect has amplitudes of its own in each recording
     from_start: bool = False  # whether an effect was there while calibrating
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Weighed:
-        """Out of what CaseEvidence.to_json has of it, or had: fields of older campaigns are left out."""
+        """Reads an entry of `hypotheses` as CaseEvidence.to_json writes it, or wrote it in older campaigns: unknown
+        fields are ignored, missing ones have their default."""
         beyond = document["beyond"] and Beyond(**{name: np.array(v) for name, v in document["beyond"].items()})
         arrays = {name: np.array(document[name]) for name in ("power", "scatter", "rival")}
         wanders = tuple(Wander.from_json(of) for of in document.get("wanders", ()))
@@ -80,7 +82,7 @@ class Weighed:
 
 @dataclass(frozen=True)
 class CaseEvidence:
-    """The evidence of one case: all that `decide` takes."""
+    """The evidence of one case, from which `decide` works out the verdict."""
 
     floor: float  # one standard deviation of the noise of a coordinate, px or deg
     frozen: Array  # (blocks,) power that the calibrated model leaves as it is
@@ -92,7 +94,8 @@ class CaseEvidence:
     unsteady: float = 0.0  # standard deviation between blocks of the logarithm of the noise's power
 
     def to_json(self) -> dict[str, Any]:
-        """As a dictionary of arrays and numbers; tautline.plain.plain makes JSON's types of it."""
+        """The evidence as nested dictionaries of arrays and numbers; tautline.plain.plain turns them into JSON's
+        types."""
         return asdict(self)
 
     @classmethod

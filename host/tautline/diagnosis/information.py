@@ -31,16 +31,17 @@ _NEVER_SURER = 0.01  # prior: of each hypothesis, whatever the posterior says: a
 
 @dataclass(frozen=True)
 class Rivals:
-    """What could be right, with probabilities that sum to 1. The first fit is the nominal model without any effect."""
+    """The hypotheses that could be right, with probabilities that sum to 1. The first fit is the nominal model without
+    any effect."""
 
     fits: tuple[Fit, ...]
     probability: Array  # (fits + 1,): the last one of an unknown cause
 
     @classmethod
     def of(cls, fits: Sequence[Fit], probability: Sequence[float], parameters: int = 1) -> Rivals:
-        """probability: of each fit, and of an unknown cause; none is taken to be less than _NEVER_SURER. An unknown
-        cause that the likeliest, with so many `parameters`, imitates everywhere (`Hyperparameters.mimics`) counts with
-        that: no motion tells it."""
+        """probability: of each fit and, last, of an unknown cause; each is raised to _NEVER_SURER at least, and they
+        are normalised. Of an unknown cause, the share that the likeliest fit imitates everywhere is moved to that fit,
+        as no motion could tell the two apart (`Hyperparameters.mimicked`, with the fit's number of `parameters`)."""
         hyper, known = learnt().center, np.asarray(probability, dtype=float)
         likeliest = int(np.argmax(known[:-1]))
         mimics = min(known[-1], hyper.odds_unknown * float(hyper.mimicked(parameters)) * known[likeliest])
@@ -50,20 +51,22 @@ class Rivals:
 
     @property
     def entropy(self) -> float:
-        """What is open, in nats: the most that any recording can tell."""
+        """The entropy of the probabilities, nats: the most that any recording can tell."""
         return -float(self.probability @ np.log(self.probability))
 
 
 class Outlook:
-    """What each of some recordings to be made would add to the least squares of every rival's refit to every other's
-    prediction. The sums of several recordings are those of each, so that any choice of them costs no simulation."""
+    """What planned recordings would tell about the rivals. For each recording it holds what this would add to the least
+    squares of every rival's refit to every other rival's prediction. These sums add up over recordings, so that any
+    choice of recordings is evaluated without a simulation."""
 
     def __init__(self, fitter: Fitter, rivals: Rivals, planned: Sequence[Segment], weight: float) -> None:
-        """fitter: of the recordings so far. planned: whose `observed` does not count, only times and motors. weight:
-        how many of the sensor's observations one of `planned` stands for."""
+        """fitter: of the recordings so far. planned: recordings to be made; their times and motors count, not
+        `observed`. weight: how many of the sensor's observations one observation of `planned` stands for. It simulates
+        every planned recording by every rival."""
         self.rivals = rivals
         fits, ahead = rivals.fits, fitter.on_recordings(planned)
-        known = [self._known(fitter, fit) for fit in fits]
+        known = [self._known_precision(fitter, fit) for fit in fits]
         rows = [ahead.linearised(fit) for fit in fits]
         size = len(fits)
         self._noise2 = (1.0 + learnt().center.calibration_excess) * fitter.floor**2
@@ -86,9 +89,9 @@ class Outlook:
                 self._matrix[g][i] = weight * part.matrix
 
     @staticmethod
-    def _known(fitter: Fitter, fit: Fit) -> Array:
-        """(m, m) What the recordings so far tell of a fit's unknowns: their normal matrix with the prior's, px^2 or
-        deg^2."""
+    def _known_precision(fitter: Fitter, fit: Fit) -> Array:
+        """(m, m) The information of the recordings so far about a fit's unknowns: their normal matrix plus the prior's
+        precision, multiplied by the noise power (px^2 or deg^2)."""
         rows = fitter.linearised(fit)
         parts = (
             fitter.normal(row, weight=np.full_like(row.residual, 1.0 / times**2)).matrix
@@ -97,8 +100,8 @@ class Outlook:
         return np.asarray(sum(parts) + fitter.floor**2 * fitter.prior_precision(fit.hypothesis))
 
     def power_left(self, which: Sequence[int]) -> Array:
-        """(fits, fits) [h, g]: the mean square above the noise that g leaves of the recordings `which`, refitted, where
-        h is right."""
+        """(fits, fits) Element [h, g]: mean square above the noise, px^2 or deg^2, that rival g leaves of the
+        recordings `which` (indices) after it is refitted, if rival h is right."""
         chosen = list(which)
         squares = np.sum(self._squares[chosen], axis=0)
         for g, (matrix, gradient) in enumerate(zip(self._matrix, self._gradient, strict=True)):
@@ -108,8 +111,9 @@ class Outlook:
         return np.asarray(np.maximum(squares, 0.0) / float(np.sum(self._count[chosen])))
 
     def expected(self, which: Sequence[int], seconds: float) -> float:
-        """The expected information, nats, of the recordings `which`, which last `seconds` together: the bound in this
-        module's docstring, D_hg = half of the blocks' number log(1 + what g leaves / what h itself leaves)."""
+        """The expected information, nats, of the recordings `which` (indices), which last `seconds` s together. It is
+        the formula of this module's docstring with D_hg = n / 2 log(1 + what g leaves / what h itself leaves), n the
+        number of blocks."""
         hyper = learnt().center
         left = self.power_left(which)
         gap = left[:, 0]  # of each right hypothesis: what the nominal model leaves

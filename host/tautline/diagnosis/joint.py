@@ -61,11 +61,11 @@ _SMALL_GAIN = 0.02  # tolerance: of -2 log posterior: a step that gains less is 
 
 @dataclass(frozen=True)
 class Detail:
-    """How finely the law and the play's width go with the place."""
+    """How finely the law and the play's width vary over the motor's range."""
 
     law: int  # order of the law's polynomial
     width: int  # order of the polynomial of log(width)
-    bend: float  # standard deviation of a coefficient of the latter
+    bend: float  # prior standard deviation of a coefficient of the width's polynomial
 
 
 NAMING = Detail(5, 2, 0.3)  # prior: where more bends, what is named is told less well: law and width stand for others
@@ -74,7 +74,7 @@ FORETELLING = Detail(9, 5, _FACTOR)  # prior: of real joints, by blocks left out
 
 @dataclass(frozen=True)
 class Unknown:
-    """Numbers that are present or absent (0) together."""
+    """A group of numbers of the vector u that are present or absent (0) together."""
 
     id: str  # of the effect that they are the parameters of, or BENDS
     places: Indices  # their indices in the vector u
@@ -82,19 +82,20 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Noise:
-    """The distribution of residuals: normal, `per_independent` successive readings counting as one."""
+    """The distribution of residuals: normal, with `per_independent` successive readings counting as one independent
+    one."""
 
     sigma: float  # one standard deviation of a reading, in the observations' unit
     per_independent: float
 
     @classmethod
     def of(cls, residuals: Sequence[Array], floor: float) -> Noise:
-        """From residuals (scored, k) of each recording: their rms, at least the floor, and their autocorrelation."""
+        """Estimates the noise from residuals (scored, k) of each recording: sigma is their rms, at least `floor`."""
         return cls(max(gap.rms(residuals), floor), gap.residuals_per_independent(residuals))
 
     @property
     def weight(self) -> float:
-        """What a squared residual adds to -2 log likelihood: 1 / (n sigma^2) where n count as one."""
+        """The factor of a squared residual in -2 log likelihood: 1 / (n sigma^2), with n = per_independent."""
         return 1.0 / (self.per_independent * self.sigma**2)
 
 
@@ -108,7 +109,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class Fitted:
-    """The posterior, normal about its maximum, and the simulation linearised there."""
+    """The posterior, approximated as normal about its maximum, and the simulation linearised there."""
 
     posterior: Posterior
     noise: Noise
@@ -122,14 +123,15 @@ class Fitted:
         return self.posterior.mean
 
     def log_evidence(self, noise: Noise) -> float:
-        """The recordings' log evidence about this maximum (Laplace), up to a constant, if residuals have this noise."""
+        """The log evidence of the recordings by Laplace's approximation about this maximum, up to a constant, if
+        residuals have this noise."""
         covariance = self.posterior.covariance[np.ix_(self.free, self.free)]
         fit = -0.5 * _cost(noise, _Point(self.u, self.residuals))
         return fit + 0.5 * float(np.linalg.slogdet(covariance)[1])
 
 
 class Joint:
-    """The unknowns of a simulator, and the robot's recordings as a function of them."""
+    """The unknowns of a simulator, and the predictions of the robot's recordings as a function of them."""
 
     def __init__(
         self,
@@ -140,9 +142,9 @@ class Joint:
         loose: bool = False,
         detail: Detail = NAMING,
     ) -> None:
-        """model: the simulator's nominal one. parameters: what it declares. segments: the robot's recordings, each with
-        its drive. floor: one standard deviation of the sensor's noise, in the observations' unit. loose: whether
-        nothing holds the joint within the play. detail: how finely law and width go with the place."""
+        """model: the simulator's nominal model. parameters: those that the simulator declares. segments: the robot's
+        recordings, each with its drive. floor: one standard deviation of the sensor's noise, in the observations' unit.
+        loose: whether nothing holds the joint within the play. detail: how finely law and width vary over the range."""
         self.loose, self.detail = loose, detail
         self.model, self.parameters, self.segments, self.floor = model, tuple(parameters), list(segments), floor
         low = min(float(s.motor.q.min()) for s in segments)
@@ -153,8 +155,9 @@ class Joint:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """In the order of the vector u: the simulator's parameters, then width, law, delay, speed, bends, and if
-        the joint is loose the pull of its load, where that changes sides, and its drag."""
+        """The groups of unknowns in the order of the vector u: each parameter of the simulator, then width, law, delay,
+        speed, bends, and if the joint is loose one group of three: the pull of its load, the place where that changes
+        sides, and its drag."""
         sizes = {simulator_id(p.name): 1 for p in self.parameters} | {
             WIDTH: 1,
             LAW: self.detail.law + 1,
@@ -177,9 +180,11 @@ class Joint:
         return {unknown.id: unknown.places for unknown in self.unknowns}
 
     def effects(self, u: Array) -> tuple[Effect, ...]:
-        """What at u (m,) is not in the model's tables, as effects: the changed parameters of the simulator, the width's
-        dependence on speed, and what is loose within it."""
-        changes = {simulator_id(p.name): _change(p, float(x)) for p, x in zip(self.parameters, u, strict=False)}
+        """The effects at u (m,) that are not in the model's tables: the changed parameters of the simulator, the
+        dependence of the width on speed if it is not 0, and, if the joint is loose, its pull, place and drag."""
+        changes = {
+            simulator_id(p.name): _change_from_nominal(p, float(x)) for p, x in zip(self.parameters, u, strict=False)
+        }
         found = [Effect(name, {name: value}) for name, value in changes.items() if value]
         speed = float(u[self.places[SPEED]][0])
         if speed:
@@ -199,28 +204,30 @@ class Joint:
         return tuple(found)
 
     def changes(self, u: Array) -> dict[str, float]:
-        """The parameters of all `effects` at u (m,), by name, in their own units; the simulator's as changes."""
+        """The parameters of all `effects` at u (m,), by name, in their own units; those of the simulator as changes
+        from their nominal values."""
         return {name: value for effect in self.effects(u) for name, value in effect.parameters.items()}
 
     def model_at(self, u: Array) -> Model:
-        """The model at u (m,): width, law and delay in its tables, the rest as its effects."""
+        """The model at u (m,), with width, law and delay in its tables and the rest as its effects."""
         model = self.model
         return replace(
             model,
-            width=allowed_width(model.q, model.width + _WIDTH * model.rig.actuator.span * self._widths(u)),
+            width=allowed_width(model.q, model.width + _WIDTH * model.rig.actuator.span * self._added_widths(u)),
             c_deg=monotone(model.c_deg + self.law_slopes() @ u[self.places[LAW]]),
             delay_s=model.delay_s + _DELAY_S * float(u[self.places[DELAY]][0]),
             effects=self.effects(u),
         )
 
-    def _widths(self, u: Array) -> Array:
-        """(grid,) What u (m,) adds to the play's width of a resting motor, in units of _WIDTH times the motor's range:
-        max(u_width, 0) exp(polynomial of the place)."""
+    def _added_widths(self, u: Array) -> Array:
+        """(grid,) The width that u (m,) adds to the play of a resting motor, in units of _WIDTH times the motor's
+        range: max(u_width, 0) exp(P), with P a polynomial of the place whose coefficients are those of BENDS."""
         log_shape = self.detail.bend * self._polynomials[:, 1 : 1 + self.detail.width] @ u[self.places[BENDS]]
         return np.asarray(max(float(u[self.places[WIDTH]][0]), 0.0) * np.exp(log_shape))
 
     def law_slopes(self) -> Array:
-        """(grid, law + 1) d c_deg / d u of the law's unknowns, deg, on the model's grid of q."""
+        """(grid, law + 1) d c_deg / d u, deg, by the law's unknowns, on the model's grid of q; the law is linear in
+        them."""
         return np.asarray(_LAW_DEG * self._polynomials[:, : self.detail.law + 1])
 
     def residuals(self, u: Array) -> list[Array]:
@@ -230,12 +237,12 @@ class Joint:
         return [(s.observed - seen)[s.scored] for s, seen in zip(self.segments, predicted, strict=True)]
 
     def slopes(self, u: Array, residuals: Sequence[Array]) -> list[Array]:
-        """d prediction / d u, (scored, k, m) for each recording, by difference quotients, backwards where a
-        step forwards would leave a parameter's range. All steps are announced (`ask`) before any is simulated, so that
-        a simulator can run them at once. residuals: at u (m,)."""
+        """(scored, k, m) for each recording: d prediction / d u by difference quotients, backwards where a step
+        forwards would leave a range. residuals: at u (m,). A simulator is told of all runs beforehand (`ask`), so that
+        it can run several at once."""
         steps = []
         for step in _DIFFERENCE * np.eye(len(u)):
-            steps.append(step if np.array_equal(self.within(u + step), u + step) else -step)
+            steps.append(step if np.array_equal(self.within_ranges(u + step), u + step) else -step)
         for step in steps:
             for segment in self.segments:
                 segment.ask(self.changes(u + step))
@@ -246,9 +253,9 @@ class Joint:
         return columns
 
     def fit(self, progress: Callable[[float], None] = lambda share: None, start: Array | None = None) -> Fitted:
-        """The posterior about its maximum, found from `start` (m,), by default the simulator as it is (u = 0), in
-        rounds, between which the noise is estimated anew. progress: called with the share of the rounds that are
-        done."""
+        """The normal posterior about its maximum, found by Gauss-Newton descents from `start` (m,), by default the
+        simulator as it is (u = 0). The noise is estimated anew after each of _ROUNDS descents. progress: called with
+        the share of the rounds that is done, 0 to 1."""
         u = np.zeros(self.size) if start is None else start
         point = _Point(u, self.residuals(u))
         noise = Noise.of(point.residuals, self.floor)
@@ -256,12 +263,13 @@ class Joint:
             point = descend(_Descent(self, noise), point, _STEPS)
             noise = Noise.of(point.residuals, self.floor)
             progress((i + 1) / _ROUNDS)
-        return self._laplace(point, noise)
+        return self._laplace_fit(point, noise)
 
-    def loosened(self, held: Fitted) -> tuple[Joint, Array] | None:
-        """The same unknowns with a joint that is loose within the play, and where the search for them begins: of all
-        starts the one that leaves least, with the law that fits it and all else as in `held`, the fit of this one. None
-        where no start leaves less than _PROMISING times the squares that `held` does."""
+    def loose_variant(self, held: Fitted) -> tuple[Joint, Array] | None:
+        """(The same unknowns with a joint that is loose within the play, u from which to fit them). `held` is the fit
+        of this joint. A grid of starts (width, pull, place, drag) is tried; for each the law is fitted linearly and all
+        else stays as in `held`, without speed and bends; the start with the smallest sum of squares is returned. None
+        if that sum is not below _PROMISING times the one of `held`."""
         joint = Joint(self.model, self.parameters, self.segments, self.floor, loose=True, detail=self.detail)
         law, weight = self.places[LAW], held.noise.weight
         rows = np.concatenate([slope[:, :, law].reshape(-1, len(law)) for slope in held.slopes])
@@ -273,14 +281,16 @@ class Joint:
             u = as_before.copy()
             u[joint.places[WIDTH]], u[joint.places[LOOSE]] = width, (pull, place, drag)
             left = np.concatenate([residuals.ravel() for residuals in joint.residuals(u)])
+            # The law's best coefficients for this start: the prediction is linear in them, with slopes as in `held`.
             u[law] = weight * np.linalg.solve(normal, rows.T @ left)
             squares = float(np.sum((left - rows @ u[law]) ** 2))
             best, least = (u, squares) if squares < least else (best, least)
         promising = least < _PROMISING * sum(float(np.sum(residuals**2)) for residuals in held.residuals)
         return (joint, best) if promising else None
 
-    def detailed(self, fitted: Fitted) -> tuple[Joint, Fitted]:
-        """The same unknowns with a law and a width of more detail (FORETELLING), and their fit, from `fitted` on."""
+    def with_more_detail(self, fitted: Fitted) -> tuple[Joint, Fitted]:
+        """(The same unknowns with a law and a width of more detail (FORETELLING), their fit), found from the fit
+        `fitted` of this joint."""
         joint = Joint(self.model, self.parameters, self.segments, self.floor, self.loose, FORETELLING)
         start = np.zeros(joint.size)
         for unknown in self.unknowns:
@@ -288,19 +298,20 @@ class Joint:
         start[joint.places[BENDS]] *= self.detail.bend / joint.detail.bend
         return joint, joint.fit(start=start)
 
-    def left_without(self, fitted: Fitted, weights: Sequence[Array], step: Array) -> list[Array]:
-        """Residuals, (scored, k) of each recording, of a fit to all readings with these weights (scored,), 0 to 1:
-        after the linear `step` (m,) that leads there from the fit of all, or, where that raises its cost, after a
-        descent."""
+    def residuals_with_weights(self, fitted: Fitted, weights: Sequence[Array], step: Array) -> list[Array]:
+        """(scored, k) of each recording: residuals of a fit in which the readings have these weights (scored,), 0 to 1.
+        The fit is one linear `step` (m,) away from `fitted`, the fit of all; if that step raises the cost by _RAISED or
+        more, the fit is found by a descent instead."""
         problem = _Descent(self, fitted.noise, weights)
-        here = _Point(fitted.u, fitted.residuals)
-        there = problem.moved(here, step)
-        if problem.cost(there) < problem.cost(here) + _RAISED:
-            return there.residuals
-        return descend(problem, here, _REFITS).residuals
+        from_point = _Point(fitted.u, fitted.residuals)
+        stepped = problem.moved(from_point, step)
+        if problem.cost(stepped) < problem.cost(from_point) + _RAISED:
+            return stepped.residuals
+        return descend(problem, from_point, _REFITS).residuals
 
-    def _laplace(self, point: _Point, noise: Noise) -> Fitted:
-        """The posterior's normal approximation at its maximum; unknowns at an end of their range have variance 0."""
+    def _laplace_fit(self, point: _Point, noise: Noise) -> Fitted:
+        """Approximates the posterior as normal at its maximum `point`; unknowns at an end of their range get the
+        variance 0."""
         slopes = self.slopes(point.u, point.residuals)
         matrix, gradient = _normal_equations(noise, point, slopes)
         free = np.flatnonzero(~_is_at_bound(self, point.u, gradient))
@@ -309,24 +320,25 @@ class Joint:
         covariance[np.ix_(free, free)] = np.linalg.inv(matrix[np.ix_(free, free)])
         return Fitted(Posterior(names, point.u, covariance), noise, point.residuals, slopes, free)
 
-    def within(self, u: Array) -> Array:
-        """u (m,) with every parameter within its range, and a width that is negative neither at rest nor at speed."""
+    def within_ranges(self, u: Array) -> Array:
+        """A copy of u (m,) with every parameter clipped to its range, and the width kept from being negative, at rest
+        and at speed."""
         clipped = u.copy()
         clipped[: len(self.parameters)] = [
             _clipped_unknown(p, float(x)) for p, x in zip(self.parameters, u, strict=False)
         ]
         width, speed = self.places[WIDTH], self.places[SPEED]
         clipped[width] = np.maximum(clipped[width], 0.0)
-        clipped[speed] = np.maximum(clipped[speed], -np.min(self._widths(clipped)))
+        clipped[speed] = np.maximum(clipped[speed], -np.min(self._added_widths(clipped)))
         return clipped
 
 
-def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: None) -> tuple[Joint, Fitted]:
-    """Of two maxima the likelier, with its joint fit: that of `joint`, whose play holds what it drives where the motor
-    leaves it, and that in which it is loose, as PRESENT of all are; without a play nothing is. progress: called with
-    the share that is done."""
+def fit_held_or_loose(joint: Joint, progress: Callable[[float], None] = lambda share: None) -> tuple[Joint, Fitted]:
+    """Fits a joint twice, held in its play and loose within it, and returns (joint, fit) of the likelier one: as the
+    prior PRESENT of being loose and the evidence of both say. Only the first is fitted where no start of the second is
+    promising; without a play it cannot be loose. progress: called with the share that is done, 0 to 1."""
     held = joint.fit(lambda share: progress(0.5 * share))
-    beginning = joint.loosened(held)
+    beginning = joint.loose_variant(held)
     if beginning is None:
         return joint, held
     loosened, start = beginning
@@ -338,21 +350,22 @@ def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: No
 
 
 class _Descent:
-    """-2 log posterior as a least-squares problem (least_squares.Problem)."""
+    """Minimises -2 log posterior as a least-squares problem (least_squares.Problem)."""
 
     def __init__(self, joint: Joint, noise: Noise, weights: Sequence[Array] | None = None) -> None:
-        """weights: of the readings (scored,) of each recording; 1 by default."""
+        """weights: of the readings, (scored,) of each recording, 0 to 1; by default all are 1."""
         self.joint, self.noise, self.weights = joint, noise, weights
 
     def _weighted(self, rows: Sequence[Array]) -> list[Array]:
-        """The rows (scored, ...) of each recording times the roots of the readings' weights."""
+        """The rows (scored, ...) of each recording, each row multiplied by the root of its reading's weight."""
         if self.weights is None:
             return list(rows)
         roots = [np.sqrt(w).reshape(-1, *[1] * (r.ndim - 1)) for r, w in zip(rows, self.weights, strict=True)]
         return [r * root for r, root in zip(rows, roots, strict=True)]
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
-        """(Normal matrix (m, m), gradient (m,), cost) at a point; unknowns at an end of their range are held."""
+        """(Normal matrix (m, m), gradient (m,) as the direction that lowers the cost, cost) at a point. Unknowns at an
+        end of their range get the equation 1 * step = 0, which holds them."""
         slopes = self._weighted(self.joint.slopes(point.u, point.residuals))
         weighted = _Point(point.u, self._weighted(point.residuals))
         matrix, gradient = _normal_equations(self.noise, weighted, slopes)
@@ -362,16 +375,16 @@ class _Descent:
         return matrix, gradient, self.cost(point)
 
     def moved(self, point: _Point, step: Array) -> _Point:
-        """The point a step (m,) further, within the unknowns' ranges."""
-        u = self.joint.within(point.u + step)
+        """The point reached by a step (m,), clipped to the unknowns' ranges, and simulated."""
+        u = self.joint.within_ranges(point.u + step)
         return _Point(u, self.joint.residuals(u))
 
     def cost(self, point: _Point) -> float:
-        """-2 log posterior, up to a constant."""
+        """-2 log posterior at this point, up to a constant, with the readings weighted."""
         return _cost(self.noise, _Point(point.u, self._weighted(point.residuals)))
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether a step that lowered the cost by `gained` was the last."""
+        """Whether to stop after a step that lowered the cost by `gained`."""
         return gained < _SMALL_GAIN
 
 
@@ -392,35 +405,37 @@ def _normal_equations(noise: Noise, point: _Point, slopes: Sequence[Array]) -> t
 
 
 def _is_at_bound(joint: Joint, u: Array, gradient: Array) -> npt.NDArray[np.bool_]:
-    """(m,) Whether each unknown is at an end of its range with the gradient pointing beyond it."""
+    """(m,) Whether each unknown of u (m,) is at an end of its range while the gradient (m,) points beyond it."""
     onward = u + np.sign(gradient) * _AT_BOUND
-    return np.asarray(joint.within(onward) != onward)
+    return np.asarray(joint.within_ranges(onward) != onward)
 
 
-def _positive(parameter: Declared) -> bool:
-    """Whether a parameter can only be positive: its unknown is then the logarithm of a factor on its nominal value."""
+def _only_positive(parameter: Declared) -> bool:
+    """Whether a parameter can only be positive; its unknown u is then the logarithm of a factor on its nominal
+    value."""
     return parameter.nominal > 0.0 and parameter.low >= 0.0
 
 
-def _change(parameter: Declared, u: float) -> float:
+def _change_from_nominal(parameter: Declared, u: float) -> float:
     """The change of a parameter from its nominal value, in its own unit, for its unknown u: nominal (exp(_FACTOR u) -
-    1) of a positive one, else _SPREADS spread u; clipped to the parameter's range."""
+    1) for one that can only be positive, else _SPREADS spread u; clipped to the parameter's range."""
     change = _unclipped_change(parameter, u)
     return float(np.clip(change, parameter.low - parameter.nominal, parameter.high - parameter.nominal))
 
 
 def _unclipped_change(parameter: Declared, u: float) -> float:
-    """As `_change`, without regard to the parameter's range."""
-    if _positive(parameter):
+    """As `_change_from_nominal`, without regard to the parameter's range."""
+    if _only_positive(parameter):
         return float(parameter.nominal * np.expm1(_FACTOR * u))
     return _SPREADS * parameter.spread * u
 
 
 def _clipped_unknown(parameter: Declared, u: float) -> float:
-    """The unknown u, or where its change is out of the parameter's range that of the range's end."""
-    change = _change(parameter, u)
+    """The unknown u if its change is within the parameter's range; else the unknown that belongs to the nearer end of
+    that range."""
+    change = _change_from_nominal(parameter, u)
     if _unclipped_change(parameter, u) == change:
         return u
-    if _positive(parameter):
+    if _only_positive(parameter):
         return float(np.log1p(max(change / parameter.nominal, -1.0 + _LEAST_FACTOR)) / _FACTOR)
     return change / (_SPREADS * parameter.spread)

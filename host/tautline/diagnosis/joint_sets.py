@@ -33,10 +33,10 @@ class Sets:
 
     @classmethod
     def of(cls, unknowns: tuple[Unknown, ...], fitted: Fitted) -> Sets:
-        """The posterior over all sets of up to _MOST unknowns: the log evidence that the absent ones are zero, and for
-        each of them the log odds of absence, by PRESENT. Of more unknowns those whose own odds decide them most, one
-        way or the other, are in every set or in none. Unknowns at an end of their range are absent and not among the
-        ids."""
+        """The posterior over all sets of up to _MOST unknowns. The log-posterior of a set is the evidence that the
+        absent unknowns are zero plus, for each of them, the prior log odds of absence (from PRESENT). Of more unknowns,
+        those whose own odds are most decided are fixed as present or absent in all sets. Unknowns at an end of their
+        range are absent, and not among `ids`."""
         reached = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]
         price = np.log((1.0 - PRESENT) / PRESENT)
         odds = {unknown.id: _log_evidence_against_zero(fitted, [unknown]) - price for unknown in reached}
@@ -54,7 +54,7 @@ class Sets:
         return cls(tuple(unknown.id for unknown in reached), np.array(present, dtype=bool), probability)
 
     def any_of(self, names: tuple[str, ...]) -> float:
-        """Probability that at least one of these unknowns is present."""
+        """Probability that at least one of the unknowns with these ids is present."""
         columns = [self.ids.index(name) for name in names]
         return float(self.probability @ self.present[:, columns].any(axis=1))
 
@@ -65,14 +65,16 @@ class Sets:
 
     @property
     def count(self) -> list[float]:
-        """Probabilities that none, one, two, and three or more are present; what is OF_WIDTH counts with the width."""
+        """Probabilities that none, one, two, and three or more unknowns are present; those in OF_WIDTH are not counted,
+        as they belong to the width."""
         size = np.minimum(self.present[:, [name not in OF_WIDTH for name in self.ids]].sum(axis=1), 3)
         return [float(p) for p in np.bincount(size, self.probability, minlength=4)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:
-        """Disjoint groups of ids, the likeliest first in each, of which at least one is present with probability _SURE;
-        a group of several means that the data do not tell which one it is."""
+        """Disjoint groups of ids, each with a probability of at least _SURE that one of its members is present. A group
+        of several means that the data do not tell which. Each starts with the likeliest id that is left and is extended
+        by the one that helps most, up to _LARGEST_GROUP."""
         rest = sorted((name for name in self.ids if name not in OF_WIDTH), key=lambda name: -self.by_id[name])
         found: list[tuple[str, ...]] = []
         while rest:
@@ -88,9 +90,9 @@ class Sets:
 
 
 def _log_evidence_against_zero(fitted: Fitted, unknowns: list[Unknown]) -> float:
-    """log evidence(all unknowns) - log evidence(these at zero), the log of prior over posterior density at zero: (mean'
-    C^-1 mean + log|C|) / 2 of the posterior's mean and covariance C, the prior being standard normal. 0 where all of
-    them are at an end of their range."""
+    """log evidence(all unknowns) - log evidence(these at zero): the log of prior over posterior density at zero, (mean'
+    C^-1 mean + log|C|) / 2, with the posterior's mean and covariance C and a standard normal prior. Unknowns at an end
+    of their range are left out; 0 if all are."""
     places = [int(i) for unknown in unknowns for i in unknown.places if i in fitted.free]
     if not places:
         return 0.0

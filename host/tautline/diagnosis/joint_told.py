@@ -26,7 +26,7 @@ _FRICTION_VARIES = 0.3  # prior: share by which friction differs from recording 
 
 @dataclass(frozen=True)
 class Answer:
-    """A joint fit with what is present in it and what it leaves."""
+    """The answer of a joint fit: which unknowns are present, and what the fit leaves."""
 
     joint: Joint
     fitted: Fitted
@@ -36,22 +36,21 @@ class Answer:
 
     @classmethod
     def of(cls, joint: Joint, fitted: Fitted) -> Answer:
-        """Makes the answer of a joint fit: adds the posterior of the sets of unknowns and the held-out residuals."""
+        """Completes a joint fit by the posterior over sets of its unknowns and by its held-out residuals."""
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted, and what they are off by together. Its c_sigma, deg, is the law's
-        posterior standard deviation; its width_sigma, unit of q, the standard deviation by which friction varies
-        (_FRICTION_VARIES of the width, times the root of the probability that it is friction and not slack); its noise
-        the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen motion is
-        unlike the recorded ones."""
+        """The model with all unknowns as fitted, and its uncertainty. c_sigma, deg, is the law's posterior standard
+        deviation. width_sigma, unit of q, is how much friction varies: _FRICTION_VARIES of the width, times the root of
+        the probability that it is friction and not slack. The uncertainty holds the standard deviation of a reading of
+        an unseen motion, the deviations of the posterior, and the discrepancy of motions unlike the recorded ones."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
         model = joint.model_at(fitted.u)
         return replace(
             model,
-            width_sigma=_FRICTION_VARIES * np.sqrt(self._is_friction) * model.width,
+            width_sigma=_FRICTION_VARIES * np.sqrt(self._friction_probability) * model.width,
             c_sigma=c_sigma,
             uncertainty=Uncertainty(
                 self._noise_of_unseen(), deviations=tuple(self._deviations()), discrepancy=self._discrepancy()
@@ -59,24 +58,28 @@ class Answer:
         )
 
     def _deviations(self) -> Iterator[tuple[Deviation, Deviation]]:
-        """What the model is one standard deviation either way along each column of the posterior covariance's Cholesky
-        factor. The simulator's parameters come first in u: the columns of the others need no simulation."""
+        """Yields, for each column of the Cholesky factor of the posterior's covariance, the model one standard
+        deviation below and above along that column. The simulator's parameters come first in u, so the later columns do
+        not contain them and need no simulation."""
         free, joint = self.fitted.free, self.joint
         factor = np.linalg.cholesky(self.fitted.posterior.covariance[np.ix_(free, free)])
         for column in factor.T:
             step = np.zeros(joint.size)
             step[free] = column
-            below, above = (joint.model_at(joint.within(self.fitted.u + sign * step)) for sign in (-1.0, 1.0))
+            below, above = (joint.model_at(joint.within_ranges(self.fitted.u + sign * step)) for sign in (-1.0, 1.0))
             yield Deviation.of(below), Deviation.of(above)
 
     def _noise_of_unseen(self) -> float:
-        """One standard deviation of a reading of an unseen motion, in the observations' unit."""
+        """One standard deviation of a reading of an unseen motion about the model's prediction, in the observations'
+        unit (`gap.unseen`)."""
         before = gap.rms(self.joint.residuals(np.zeros(self.joint.size)))
         return gap.unseen(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
 
     def _discrepancy(self) -> Discrepancy | None:
-        """What the plainer fit leaves of an unseen motion and this one does not, by place, speed and load: detail was
-        seen only where the recorded motions were, and elsewhere it is worth no more than the plainer fit."""
+        """A Gaussian process, by place, speed and load, of the residuals of the plainer fit; its prior variance is by
+        how much that fit leaves more of an unseen motion than this one. Detail was seen only where the recorded motions
+        were; elsewhere it is worth no more than the plainer fit. None without a plainer fit, or if that leaves no
+        more."""
         if self.plainer is None:
             return None
         power = self.plainer._noise_of_unseen() ** 2 - self._noise_of_unseen() ** 2
@@ -92,14 +95,15 @@ class Answer:
         return flexible.discrepancy(np.concatenate(inputs), left, joint.floor, float(np.sqrt(power)))
 
     @property
-    def _is_friction(self) -> float:
-        """Probability that the width is friction's: that it varies with speed or place, as slack in gears does not."""
+    def _friction_probability(self) -> float:
+        """Probability that the width is due to friction: that it varies with speed or place, as slack in gears does
+        not."""
         names = tuple(name for name in (SPEED, BENDS) if name in self.sets.ids)
         return self.sets.any_of(names) if names else 0.0
 
     def shares(self, names: Sequence[str], before: float) -> list[float]:
-        """Exact Shapley share of each named unknown of the shrinkage 1 - after / before of the rms, by the linearised
-        fit with all unnamed ones at zero. before: rms of the gap, in the observations' unit."""
+        """The exact Shapley share of each named unknown in the shrinkage 1 - after / before of the rms, in the
+        linearised fit with all unnamed unknowns at zero. before: rms of the gap, in the observations' unit."""
 
         def worth(present: frozenset[str]) -> float:
             """Shrinkage of the rms with these unknowns alone."""
@@ -113,8 +117,8 @@ class Answer:
         return shapley.shares(names, worth)
 
     def parameter_values(self, name: str) -> dict[str, float]:
-        """The fitted parameters of one effect by name, in their own units, as diagnosis.json reports them. Of a width
-        that goes with the place, width_everywhere is the largest over the range."""
+        """The fitted parameters of the effect with the id `name`, by name, in their own units, as diagnosis.json
+        reports them. For a width that varies over the range, width_everywhere is its largest change."""
         added = {effect.id: dict(effect.parameters) for effect in self.joint.effects(self.fitted.u)}
         model = self.joint.model_at(self.fitted.u)
         in_tables = {
@@ -125,9 +129,9 @@ class Answer:
 
 
 def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
-    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without that block, of which a
-    share STAYS stays as in heldout.py. It is one step -(N - N_b)^-1 g_b away, or found by a descent where that step
-    leads nowhere better, as where the block alone shows what the model is linear in but nearby."""
+    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit in which only a share
+    heldout.STAYS of that block's weight stays. That fit is one step -(N - N_b)^-1 g_b away; if the step does not lower
+    the cost, as where the model is linear only nearby, it is found by a descent (`Joint.residuals_with_weights`)."""
     free, weight = fitted.free, fitted.noise.weight
     slopes = [slope[:, :, free] for slope in fitted.slopes]
     flat = [slope.reshape(-1, len(free)) for slope in slopes]
@@ -143,44 +147,46 @@ def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
             step[free] = -np.linalg.solve(normal - goes * rows.T @ rows, goes * rows.T @ residual[block].ravel())
             weights = [np.ones(len(r)) for r in fitted.residuals]
             weights[i][block] = heldout.STAYS
-            held_out[block] = joint.left_without(fitted, weights, step)[i][block]
+            held_out[block] = joint.residuals_with_weights(fitted, weights, step)[i][block]
         result.append(held_out)
     return result
 
 
 def with_joint_answer(diagnosis: Diagnosis, answer: Answer) -> Diagnosis:
-    """The diagnosis with the joint fit's answer in place of its own, if that names something and surely leaves less on
-    held-out blocks; else the diagnosis itself. The answer is of the robot's recordings, the diagnosis' segments but the
-    first, which is the simulator's."""
+    """The diagnosis with its answer replaced by that of the joint fit, if the joint fit names something and surely
+    (gap.SURELY) leaves less on held-out blocks; else the same diagnosis object. The answer is of the robot's
+    recordings: the diagnosis' segments without the first one, which is the simulator's."""
     groups = answer.sets.groups
     sure = gap.probability_of_shrinking(diagnosis.after, answer.held_out, answer.joint.segments)
     if sure < gap.SURELY or not groups:
         return diagnosis
-    groups = _largest_share_first(groups, answer, gap.rms(diagnosis.before))
+    groups = _sorted_by_share(groups, answer, gap.rms(diagnosis.before))
     best = answer_to_hand_out(answer)
-    document = _document(diagnosis, answer, best, groups, sure)
+    document = _joint_document(diagnosis, answer, best, groups, sure)
     return replace(diagnosis, document=document, corrected=best.corrected_model(), after=best.held_out)
 
 
 def answer_to_hand_out(answer: Answer) -> Answer:
-    """The answer whose model is handed out: with more detail of law and width, where that surely leaves less of blocks
-    left out; else `answer`. Only `answer` tells what is named: law and width of much detail stand for other causes."""
-    detailed = Answer.of(*answer.joint.detailed(answer.fitted))
+    """The answer whose model is handed out: one with more detail of law and width if it surely leaves less of held-out
+    blocks, else `answer`. What is named comes from `answer` alone, as law and width of much detail can stand for other
+    causes. It fits the detailed unknowns to find out."""
+    detailed = Answer.of(*answer.joint.with_more_detail(answer.fitted))
     sure = gap.probability_of_shrinking(answer.held_out, detailed.held_out, answer.joint.segments)
     return replace(detailed, plainer=answer) if sure >= gap.SURELY else answer
 
 
-def _document(
+def _joint_document(
     diagnosis: Diagnosis, answer: Answer, best: Answer, groups: Sequence[tuple[str, ...]], sure: float
 ) -> dict[str, Any]:
-    """The content of diagnosis.json with the joint fit's answer. best: what is handed out, whose held-out residuals are
-    the gap after; groups: what `answer` names; sure: probability that it leaves less than the diagnosis' own answer."""
+    """The content of diagnosis.json with the joint fit's answer. best: the answer that is handed out, whose held-out
+    residuals are the gap after; groups: what `answer` names; sure: probability that the joint fit leaves less than the
+    diagnosis' own answer."""
     was, floor, after = diagnosis.document, diagnosis.document["noise_floor"], gap.rms(best.held_out)
     sizes = gap.with_intervals(diagnosis.before, best.held_out, answer.joint.segments, floor, learnt().elsewhere)
-    named = list(_effects(answer, best, groups, gap.rms(diagnosis.before), after))
+    named = list(_effect_entries(answer, best, groups, gap.rms(diagnosis.before), after))
     sizes, named = _with_held_samples(was, sizes, named)
     is_open = decide.is_open(diagnosis.evidence, after**2)
-    closed = flexible.close(diagnosis.segments[1:], best.held_out, floor) if is_open else None
+    closed = flexible.cross_validate(diagnosis.segments[1:], best.held_out, floor) if is_open else None
     return {
         **was,
         "verdict": "effect",
@@ -200,26 +206,26 @@ def _document(
 def _with_held_samples(
     was: Mapping[str, Any], sizes: dict[str, Any], named: list[dict[str, Any]]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The gap's `sizes` and the `named` effects of diagnosis.json beside the held samples that the document `was`
-    names; both as they are where it names none. Held samples are of the sensor's link and no unknown of a simulator, so
-    the joint fit is without them: they are in the gap before again, named last, and close their share of it; what the
-    others shrink is then of the rest."""
+    """(The gap's `sizes`, the `named` effects), both extended by the held samples that the document `was` names;
+    unchanged where it names none. Held samples come from the sensor's link and are no unknown of a simulator, so the
+    joint fit is without them. They are added to the gap again, named last, and close their share of it; the shares of
+    the others are then of the rest."""
     held = next((effect for effect in was["effects"] if effect["id"] == repeated.HELD), None)
     if held is None:
         return sizes, named
     sizes = dict(sizes)
-    repeated.grow(sizes, was["gap"]["before"])
-    repeated.shrink(sizes, was["noise_floor"] ** 2, learnt().elsewhere)
+    repeated.set_size_before(sizes, was["gap"]["before"])
+    repeated.set_shrinkages(sizes, was["noise_floor"] ** 2, learnt().elsewhere)
     rest = [{**effect, "shrink": effect["shrink"] * (1.0 - held["shrink"])} for effect in named]
     return sizes, [*rest, held]
 
 
-def _effects(
+def _effect_entries(
     answer: Answer, best: Answer, groups: Sequence[tuple[str, ...]], before: float, after: float
 ) -> Iterator[dict[str, Any]]:
-    """The named groups as diagnosis.json's effects, each with its share of the shrinkage and its value in what is
-    handed out (`best`). before, after: rms of the gap without and with that. A simulator was never calibrated with
-    them, and its model is loaded on no board."""
+    """Yields the named groups as entries of the list `effects` of diagnosis.json, each with its share of the shrinkage
+    and its values in `best`, which is handed out. before, after: rms of the gap without and with the answer. A
+    recalibration never swallowed them, as a simulator is not calibrated, and no board loads a simulator's model."""
     shares = answer.shares([group[0] for group in groups], before)
     total, shrink = max(sum(shares), 1e-12), gap.shrinkage(before, after)
     for group, share in zip(groups, shares, strict=True):
@@ -235,9 +241,9 @@ def _effects(
         }
 
 
-def _largest_share_first(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
-    """The groups in the order of the share of the gap that each closes, the largest first. A group is the ids of
-    unknowns that cannot be told apart, the best first: that one counts. before: rms of the gap."""
+def _sorted_by_share(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
+    """The groups sorted by the share of the gap that each closes, the largest first. A group is the ids of unknowns
+    that cannot be told apart; its first id, the likeliest, counts. before: rms of the gap."""
     shares = answer.shares([group[0] for group in groups], before)
     return [groups[i] for i in np.argsort(-np.array(shares))]
 
@@ -245,8 +251,9 @@ def _largest_share_first(groups: list[tuple[str, ...]], answer: Answer, before: 
 def _mixed_probabilities(
     document: Mapping[str, Any], leading: tuple[str, ...], present: Mapping[str, float], sure: float
 ) -> dict[str, Any]:
-    """The probabilities of diagnosis.json as a mixture: with probability `sure` those of the joint fit's leading group,
-    shared between its members in proportion to the probability that each is present, else those of `document`."""
+    """The probabilities of diagnosis.json as a mixture. With probability `sure` the joint fit's `leading` group is the
+    cause, shared among its members in proportion to the probability that each is `present`; otherwise the probabilities
+    of `document` hold."""
     weights = {name: present[name] / sum(present[other] for other in leading) for name in leading}
     candidates = [
         {

@@ -32,15 +32,15 @@ _ALIKE = (0.01, 1.0)  # tolerance: limits of the share of a misfit by which a fu
 
 
 class Likelihoods:
-    """Log-likelihoods up to a common constant, (hypotheses,): `log_likelihood` of each hypothesis, -inf where it is
-    excluded; its log `prior`; `unknown_scatter`, of scatter of unknown origin in the place of an event, which foretells
-    frames as well as anything but that event, -inf where a hypothesis is not of one event alone; and one number,
-    `unknown`, of an unknown cause that the best effects only imitate."""
+    """Log-likelihoods of the hypotheses of a case, up to a common constant; arrays are (hypotheses,). `log_likelihood`:
+    of each hypothesis, -inf where it is excluded. `prior`: its log prior weight. `unknown_scatter`: of scatter of
+    unknown origin in the place of an event, which predicts frames as well as anything but that event; -inf where a
+    hypothesis is not one event alone. `unknown`: one number, of an unknown cause that the best effects only imitate."""
 
     def __init__(self, case: Stacked, hyper: Hyperparameters) -> None:
-        """Of the hypotheses of `case`, with these hyperparameters: the likelihood of the blocks' powers and of an
-        event's scatter, times those of what is left beyond the effects' stages (confined.py) and of how their
-        amplitudes vary (wander.py)."""
+        """Computes all of them for the hypotheses of `case` with these hyperparameters: the likelihood of the blocks'
+        powers and of an event's scatter, times the likelihoods of what is left beyond the effects' stages (confined.py)
+        and of how the effects' amplitudes vary (wander.py)."""
         self.hyper = hyper
         self._case = case
         known = hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess
@@ -54,7 +54,7 @@ class Likelihoods:
         right = self._as_right_effects
         own = np.where(case.size > 0, right + self._log_chance_of_rival, self._log_likelihood_of_no_change)
         # Scatter is told from frame to frame: a block of it counts as many observations as one of noise.
-        own = own + 0.5 * hyper.noise_tells * case.foretold_better(hyper.calibration_excess)
+        own = own + 0.5 * hyper.noise_tells * case.gain_by_event(hyper.calibration_excess)
         self.unknown_scatter: Array = np.where(case.scatters & (case.size == 1), right, -np.inf)
         replaced = self._replaced_by_contained
         reached = self._with_imitating_misfit(own, replaced)
@@ -64,18 +64,19 @@ class Likelihoods:
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
-        """For each set of effects the index of its most probable hypothesis."""
+        """{set of effects: index of the most probable hypothesis with exactly these effects}."""
         log_posterior = (self.log_likelihood + self.prior).tolist()
         return {key: max(same, key=log_posterior.__getitem__) for key, same in self._case.same.items()}
 
     def leader(self, key: frozenset[str], best: Mapping[frozenset[str], int]) -> str:
-        """Which effect of the set `key` leads: the one whose hypothesis alone is likeliest, not counting how its
-        amplitude varies, as others are missing beside it. Among laws, which leave nothing of their own, the one that
-        alone leaves the least power. best: index of the hypothesis of each set."""
+        """The effect of the set `key` that leads it. That is the effect whose hypothesis alone is likeliest; how its
+        amplitude varies does not count, as the other effects are missing beside it. If the set has laws and no event it
+        is the effect that alone leaves the smallest power, as laws leave nothing of their own. best: {set of effects:
+        index of its hypothesis}."""
         by_power = LAWS & key and not EVENTS & key
 
         def alone(name: str) -> float:
-            """How well the effect explains the gap alone, the larger the better; -inf where it was not fitted alone."""
+            """How well the effect alone explains the gap, the larger the better; -inf where it was not fitted alone."""
             i = best.get(frozenset({name}))
             if i is None:
                 return -np.inf
@@ -89,9 +90,9 @@ class Likelihoods:
 
     @cached_property
     def prior(self) -> Array:
-        """(hypotheses,) Logarithm of each hypothesis' prior weight up to a constant: odds_none without effects, else
-        odds_further^(causes - 1) / (number of applicable effects), times odds_brought and odds_each where these
-        apply."""
+        """(hypotheses,) Logarithm of each hypothesis' prior weight, up to a constant: odds_none without effects, else
+        odds_further^(causes - 1) / (number of applicable effects), times odds_brought where an effect brings parts of
+        the nominal model, and odds_each where one has amplitudes of its own in each recording."""
         case, hyper = self._case, self.hyper
         with_effects = (case.causes - 1) * np.log(hyper.odds_further) - np.log(case.applicable)
         with_effects = with_effects + np.where(case.brings, np.log(hyper.odds_brought), 0.0)
@@ -100,14 +101,15 @@ class Likelihoods:
 
     @property
     def _price(self) -> Array:
-        """(hypotheses,) What a hypothesis' d parameters cost, parameter_price d log(1 + n) / 2 of n blocks (the
-        Bayesian information criterion)."""
+        """(hypotheses,) Nats that a hypothesis' d parameters cost by the Bayesian information criterion with n blocks:
+        parameter_price d log(1 + n) / 2."""
         return np.asarray(0.5 * self.hyper.parameter_price * np.log1p(len(self._case.before)) * self._parameters)
 
     @property
     def _as_right_effects(self) -> Array:
-        """(hypotheses,) Log-likelihood of the blocks' powers if a hypothesis' effects are right, less its price: over
-        the prior of the share that right effects leave, which beside an event may be any."""
+        """(hypotheses,) Log-likelihood of the blocks' powers if the hypothesis' effects are right, minus the price of
+        its parameters. It is summed over the prior of the share that right effects leave; beside an event any share is
+        alike."""
         case, hyper = self._case, self.hyper
         of_law, usual, any_share = (
             self._log_right_share(most) for most in (hyper.unexplained_by_law, hyper.unexplained, 1.0)
@@ -117,15 +119,17 @@ class Likelihoods:
 
     @property
     def _log_chance_of_rival(self) -> Array:
-        """(hypotheses,) Of laws: logarithm of the probability that some other effect leaves so much less though the law
-        is right: by noise alone (`Weighed.chance`), or with probability `mimics`, as the nominal model beside a law is
-        not exact. 0 of other effects: no model of them is exact, so that another leaves less is nothing against one."""
+        """(hypotheses,) For laws: log of the probability that some other effect leaves as much less as it does,
+        although the law is right. That happens by noise alone (`Weighed.chance`), or with probability `mimics`, as the
+        nominal model beside a law is not exact. 0 for other effects: no model of them is exact, so that an effect that
+        leaves less is no evidence against them."""
         return np.asarray(np.log(self._mimics + (1.0 - self._mimics) * self._case.chance))
 
     def _with_imitating_misfit(self, own: Array, replaced: npt.NDArray[np.bool_]) -> Array:
-        """(hypotheses,) The largest of a hypothesis' own log-likelihood and those of the sets with a further effect,
-        each with the chance that what that effect closes is only misfit of the right ones (`_log_chance_of_misfit`); an
-        event's is none. own: log-likelihood of each; replaced: which are excluded."""
+        """(hypotheses,) For each hypothesis the larger of its own log-likelihood and that of a set with one effect
+        more, reduced by the chance that what the additional effect closes is only misfit of the right ones
+        (`_log_chance_of_misfit`). Events do not count as the additional effect. own: log-likelihood of each; replaced:
+        which hypotheses are excluded."""
         case, by_chance = self._case, self._log_chance_of_misfit
         reached = np.where(replaced, -np.inf, own)
         for size in range(int(case.size.max()), 1, -1):  # the largest first: two further ones may imitate as well
@@ -136,10 +140,10 @@ class Likelihoods:
         return reached
 
     def _log_likelihood_of_unknown(self, as_if_right: Array, replaced: npt.NDArray[np.bool_]) -> float:
-        """Log-likelihood times prior of the best effects, one or two, if they stand in for an unknown cause: with
-        probability `mimics` (its square root of the best of all pairs) they follow it as closely as if they were right,
-        else they leave what wrong effects do. Without effects nothing imitates it: any gap may be there. as_if_right:
-        log-likelihoods as right effects; replaced: which hypotheses are excluded."""
+        """Log-likelihood times prior of an unknown cause, for which the best one or two effects stand in. With
+        probability `mimics` (its square root for the best of all pairs) they follow it as closely as if they were
+        right, else they leave what wrong effects leave. In the hypothesis without effects any gap may be there.
+        as_if_right: log-likelihoods as right effects; replaced: which hypotheses are excluded."""
         case, hyper = self._case, self.hyper
         pair = case.causes == 2
         mimics = np.where(pair, np.sqrt(self._mimics), self._mimics)
@@ -159,17 +163,18 @@ class Likelihoods:
 
     @property
     def _replaced_by_contained(self) -> npt.NDArray[np.bool_]:
-        """(hypotheses,) Whether a more flexible effect gives way to a simpler one that it contains: the simpler one
-        leaves no more of what is left without either than a right effect may."""
+        """(hypotheses,) Whether a flexible effect is excluded in favour of a simpler one that it contains
+        (`Stacked.contained`): the simpler one's power above the floor is below the share that a right effect may leave,
+        of what is left without either."""
         left = self._case.mean - self._case.floor2
         return np.asarray((left < self._most * self._case.contained).any(axis=1))
 
     @property
     def _log_likelihood_of_no_change(self) -> float:
         """Log-likelihood that nothing changed since the calibration: in each block the calibrated model or its
-        recalibration, whichever leaves less, leaves noise and an excess with an exponential prior of mean
-        calibration_excess. What the recalibration takes off the mean power, `taken`, is improbable then: exp(-taken /
-        (the nominal model's own misfit + calibration_excess)), in units of floor^2."""
+        recalibration, whichever leaves less, leaves noise and an excess, which has an exponential prior of mean
+        calibration_excess. If the recalibration takes a mean power `taken` off, in units of floor^2, that is
+        improbable: exp(-taken / (the nominal model's own misfit + calibration_excess))."""
         case, hyper = self._case, self.hyper
         recalibrated = case.power[0]  # (blocks,) of the hypothesis without effects
         lesser = np.minimum(case.frozen, recalibrated)  # the difference counts in `taken`
@@ -181,9 +186,9 @@ class Likelihoods:
 
     @property
     def unknown_from_start(self) -> float:
-        """If nothing changed since the calibration, the probability that what this leaves of itself, x = power over
-        floor^2 - 1, has an unknown cause: its density 1 / (OWN_MISFIT + x), up to _LARGEST, against the exponential
-        one of what a nominal model leaves, of mean OWN_MISFIT."""
+        """Probability that the calibrated model has an unknown cause in its own calibration, if nothing changed since.
+        It compares two densities of x = power / floor^2 - 1 that is left there: 1 / (OWN_MISFIT + x) up to _LARGEST for
+        a cause, and an exponential one of mean OWN_MISFIT for a nominal model."""
         x = max(self._case.calibrated - 1.0, 0.0)
         of_cause = self.hyper.odds_unknown * EARLY / ((OWN_MISFIT + x) * np.log1p(_LARGEST / OWN_MISFIT))
         of_nominal = self.hyper.odds_none * np.exp(-x / OWN_MISFIT) / OWN_MISFIT
@@ -201,12 +206,12 @@ class Likelihoods:
 
     @property
     def _log_chance_of_misfit(self) -> Array:
-        """(pairs,) For pairs of hypotheses, of which the second has one effect more: logarithm of the probability that
-        what it closes is only misfit, which right effects, those of the first, leave. With `left` and `after`, the mean
+        """(pairs,) For each pair of hypotheses, the second with one effect more: log of the probability that what this
+        effect closes is only misfit that the right effects, those of the first, leave. With `left` and `after` the mean
         power above floor^2 that the first and the second leave, and s = (left - after) / (`inexact` power of the
-        first), it is log Phi(-log(s / most) / share_spread), as misfit has to be so large, plus log(after / left)
-        within _ALIKE, as it has to look like the further effect by chance. The second term is 0 where all effects of
-        the second are parts of the nominal model: curves by place follow any small misfit."""
+        first), it is the sum of two terms. Misfit has to be so large: log Phi(-log(s / most) / share_spread). It has to
+        look like the additional effect by chance: log(after / left) within _ALIKE; 0 where all effects of the second
+        are parts of the nominal model, as curves follow any small misfit."""
         case = self._case
         left, after = (np.maximum(case.mean[of] - case.floor2, 1e-300) for of in (case.fewer, case.further))
         may_leave = np.maximum(np.mean(case.inexact[case.fewer], axis=1), 1e-300)
@@ -217,10 +222,10 @@ class Likelihoods:
 
     @cached_property
     def log_ratio_of_steadiness(self) -> Array:
-        """(hypotheses,) log p(w | right) - log p(w | wrong) of the effect with the least ratio, and never above 0. w is
-        the share of itself by which an effect's amplitude varies over place, speed, time, side and load (wander.py).
-        Right: w is exponential with mean `wanders` for effects of geometry and time, `wanders_material` for all
-        others. Wrong: with probability `mimics` as right, else exponential with mean 1."""
+        """(hypotheses,) log p(w | right) - log p(w | wrong) of the effect with the smallest ratio, at most 0. w is the
+        share of itself by which an effect's amplitude varies over place, speed, time, side and load (wander.py). For a
+        right effect w is exponential with mean `wanders` (effects of geometry and time) or `wanders_material` (others).
+        For a wrong one it is with probability `mimics` as for a right one, else exponential with mean 1."""
         case, hyper = self._case, self.hyper
         means = np.where(case.geometry, hyper.wanders, hyper.wanders_material)
         right, wrong = (log_sum(case.wander + _log_exponential(mean[:, None])) for mean in (means, np.ones_like(means)))
@@ -231,15 +236,16 @@ class Likelihoods:
         return worst
 
     def _log_right_share(self, most: float) -> Array:
-        """Log-probabilities (sum 1) of SHARES, even in their logarithm, for the share of the gap that right effects
-        leave: any magnitude up to `most` alike, log-normally falling above."""
+        """(SHARES,) Log-probabilities (sum of probabilities 1) of the share of the gap that right effects leave:
+        uniform in its logarithm up to `most`, falling like a log-normal density above it."""
         log: Array = -0.5 * np.square(np.maximum(np.log(SHARES / most), 0.0) / self.hyper.share_spread)
         return np.asarray(log - log_sum(log))
 
     @property
     def _log_wrong_share(self) -> Array:
-        """Log-probabilities (sum 1) of SHARES, even in their logarithm, for the share of the gap that a wrong effect
-        leaves: log-normally rising to the learnt least share, any magnitude from it to 1 alike."""
+        """(SHARES,) Log-probabilities (sum of probabilities 1) of the share of the gap that a wrong effect leaves:
+        rising like a log-normal density up to the learnt share unexplained_by_wrong, uniform in its logarithm from
+        there to 1."""
         log: Array = -0.5 * np.square(
             np.minimum(np.log(SHARES / self.hyper.unexplained_by_wrong), 0.0) / self.hyper.share_spread
         )
@@ -247,7 +253,7 @@ class Likelihoods:
 
 
 def _log_exponential(mean: Array) -> Array:
-    """(..., WANDERS) Log-probabilities (sum 1) on the grid WANDERS of an exponential density with each mean (..., 1);
-    the grid's steps are even in the logarithm, hence w exp(-w / mean)."""
+    """(..., WANDERS) Log-probabilities (sum of probabilities 1) of the values w in WANDERS under an exponential density
+    with each mean (..., 1). As the grid is even in log w, they are proportional to w exp(-w / mean)."""
     log: Array = np.log(WANDERS) - WANDERS / mean
     return np.asarray(log - log_sum(log)[..., None])

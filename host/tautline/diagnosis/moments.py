@@ -32,9 +32,9 @@ def moments_of(fit: Fit) -> list[str]:
     return [name for kind in fit.hypothesis.kinds for name in kind.moments]
 
 
-def refined(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
-    """The fit with its moments searched to a frame and everything else fitted again. limits: of each recording, to
-    which residuals are cut."""
+def refine_moments(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
+    """The fit with its moments searched to a frame and all else fitted again, in up to _ROUNDS rounds. limits: of each
+    recording, px or deg, to which residuals are cut."""
     for _ in range(_ROUNDS):
         values = dict(fit.state.values)
         for moment in moments_of(fit):
@@ -45,15 +45,16 @@ def refined(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
     return fit
 
 
-def seen_to_happen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
-    """Whether a recording shows each moment of the last added effect; true of an effect without moments. A change
+def moments_are_seen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
+    """Whether some recording shows each moment of the last added effect; True for an effect without moments. A change
     between two recordings is another registration or offset instead."""
     return all(_is_seen(fitter, fit, moment, limits) for moment in fit.hypothesis.kinds[-1].moments)
 
 
 def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> bool:
-    """Whether the recording that holds this moment, with _MARGIN_S on either side, shows it: frames before it fit
-    better without the change, frames after it with the change. False where none holds it."""
+    """Whether the recording that contains this moment, at least _MARGIN_S from either end, shows it: its frames before
+    the moment fit better without the change, those after it better with the change. False where no recording contains
+    it."""
     moment_s = fit.state.values[moment]
     for segment, limit in zip(fitter.segments, limits, strict=True):
         frames_s = _scene_times(fit, segment)
@@ -67,8 +68,9 @@ def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> 
 
 
 def _best_moment(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, limits: Sequence[float]) -> float:
-    """The value, s, of the parameter `moment` with the smallest sum of squares among the frames near its present one,
-    values[moment]: of evenly spaced frames first, then of those between the neighbours of the best."""
+    """The value, s, of the parameter `moment` with the smallest sum of squares, among its present value values[moment]
+    and the frames near it. Evenly spaced frames are tried first, then those between the neighbours of the best, and so
+    on."""
     sums = {values[moment]: _sum_of_squares(fitter, fit, values, moment, values[moment], limits)}
     near = _moments_near(fitter, fit, values[moment])
     low, high = 0, len(near) - 1
@@ -84,7 +86,8 @@ def _best_moment(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: 
 
 
 def _moments_near(fitter: Fitter, fit: Fit, moment_s: float) -> list[float]:
-    """Moments, s, rising, just before the scene time of each frame within _NEAR_S of `moment_s`."""
+    """Times, s on the session's clock, rising, each a little before the scene time of a frame within _NEAR_S of
+    `moment_s`."""
     scene_s = np.concatenate([_scene_times(fit, segment) for segment in fitter.segments])
     return [float(at_s) for at_s in np.unique(scene_s[np.abs(scene_s - moment_s) < _NEAR_S] - _BEFORE_S)]
 
@@ -92,8 +95,8 @@ def _moments_near(fitter: Fitter, fit: Fit, moment_s: float) -> list[float]:
 def _sum_of_squares(
     fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, moment_s: float, limits: Sequence[float]
 ) -> float:
-    """Sum of squared residuals, px^2 or deg^2, with the parameter `moment` at moment_s and all others as in `values`,
-    over the recordings that are within _NEAR_S of it."""
+    """Sum of squared residuals, px^2 or deg^2, over the recordings within _NEAR_S of moment_s, with the parameter
+    `moment` at moment_s and all others as in `values`."""
     total = 0.0
     for segment, limit in zip(fitter.segments, limits, strict=True):
         frames_s = _scene_times(fit, segment)
@@ -108,8 +111,8 @@ def _scene_times(fit: Fit, segment: Segment) -> Array:
 
 
 def _squares(fitter: Fitter, fit: Fit, segment: Segment, values: Mapping[str, float], limit: float) -> Array:
-    """(scored,) Squared residual of each frame of a recording, px^2 or deg^2, coordinates cut to `limit`, with the
-    effects' parameters `values`."""
+    """(scored,) Squared residual of each frame of a recording, px^2 or deg^2, summed over its coordinates after these
+    are cut to `limit`, with the effects' parameters `values`."""
     state = replace(fit.state, values=values)
     _, predicted = segment.predict(state.model, state.at(segment, fit.hypothesis), fitter.load_reference)
     residual = (segment.observed - predicted)[segment.scored]

@@ -53,41 +53,43 @@ class _Phase:
 
     @property
     def cycles(self) -> int:
-        """There and back, so often that it takes about _PHASE_S."""
+        """The number of strokes there and back, at least 1, that together take about _PHASE_S."""
         return max(1, round(_PHASE_S / (2 * ((self.high - self.low) / self.speed + self.rest_s))))
 
     @cached_property
     def strokes(self) -> Trajectory:
-        """From `low` and back to it."""
-        return self._through([self.low, *[self.high, self.low] * self.cycles], self.rest_s)
+        """The motion from `low` to `high` and back, `cycles` times."""
+        return self._strokes_through([self.low, *[self.high, self.low] * self.cycles], self.rest_s)
 
     def approach(self, width: float, range_: tuple[float, float]) -> Trajectory:
-        """To `low`, so that a backlash of `width` has been driven through both ways. range_: of the motor."""
-        there = self.low + _WIDTHS * width
-        there = there if there <= range_[1] else max(range_[0], self.low - _WIDTHS * width)
-        return self._through([self.low, there, self.low], rest_s=0.0)
+        """The motion from `low` to a point at least _WIDTHS `width` away and back, so that a backlash of `width`, unit
+        of q, is driven through in both directions. range_: of the motor, which it does not leave."""
+        far_end = self.low + _WIDTHS * width
+        far_end = far_end if far_end <= range_[1] else max(range_[0], self.low - _WIDTHS * width)
+        return self._strokes_through([self.low, far_end, self.low], rest_s=0.0)
 
     def move_from(self, q: float) -> Trajectory:
-        """From the position q, the rig's unit, to `low` at the phase's speed, without a rest; nothing where it is
-        there."""
-        return self._through([q, self.low], rest_s=0.0)
+        """The motion from the position q, the rig's unit, to `low` at the phase's speed, without a rest; empty where q
+        is `low`."""
+        return self._strokes_through([q, self.low], rest_s=0.0)
 
-    def _through(self, points: Sequence[float], rest_s: float) -> Trajectory:
-        """The motion from the first of these positions, the rig's unit, to each further one at the phase's speed, with
-        a rest of rest_s at each."""
+    def _strokes_through(self, points: Sequence[float], rest_s: float) -> Trajectory:
+        """The motion through these positions, the rig's unit, in their order, at the phase's speed, with a rest of
+        rest_s at each."""
         return trajectory.through(points, self.speed, _PER_SPEED * self.speed, rest_s)
 
 
-def best(fitter: Fitter, rivals: Rivals) -> NextMotion:
-    """The motion of _LONGEST_S at most that is expected to tell most for its time about which of these is right. Where
-    the recordings moved the other axes, these may sway meanwhile."""
+def plan_best_motion(fitter: Fitter, rivals: Rivals) -> NextMotion:
+    """Plans the motion that is expected to tell most about which of the rivals is right; it lasts _LONGEST_S at most,
+    unless its first phase alone takes longer. If the recordings moved other axes of a camera's instrument, a motion
+    during which these sway is compared too."""
     axes = fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments)
-    plans = [_planned(fitter, rivals, sway) for sway in ((False, True) if axes else (False,))]
+    plans = [_plan(fitter, rivals, sway) for sway in ((False, True) if axes else (False,))]
     return max(plans, key=lambda plan: plan.information)
 
 
 def table(motion: Trajectory, unit: str) -> pd.DataFrame:
-    """The content of next_motion.csv at 100 Hz: t_s, q in the actuator's `unit`, and the other axes that move."""
+    """The content of next_motion.csv at 100 Hz: t_s, q in the actuator's `unit`, and the other axes if they move."""
     columns = {"t_s": motion.t_s, f"q_{unit}": motion.q}
     if motion.translation_mm is not None:
         columns["translation_mm"] = motion.translation_mm
@@ -96,65 +98,68 @@ def table(motion: Trajectory, unit: str) -> pd.DataFrame:
     return pd.DataFrame(columns).iloc[::_POINTS]
 
 
-def _planned(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
-    """As `best`, with the other axes at rest or swaying: phase after phase, the one first that tells most for its
-    time, until what is open is told or the time is up."""
-    actuator, last = fitter.model.rig.actuator, _latest(fitter)
+def _plan(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
+    """As `plan_best_motion`, with the other axes at rest or swaying. Phases are added one after the other, each time
+    the one that tells most per second, until nothing more is told or the time is up."""
+    actuator, last = fitter.model.rig.actuator, _latest_recording(fitter)
     phases, width = _phases(fitter), float(fitter.model.width.max())
-    segments = [_segment(fitter, phase, width, sway) for phase in phases]
+    segments = [_planned_segment(fitter, phase, width, sway) for phase in phases]
     # As many of the sensor's observations as one that is planned stands for.
     weight = _PERIOD_S * (len(last.arrival_s) - 1) / float(np.ptp(last.arrival_s))
     outlook = Outlook(fitter, rivals, segments, weight)
     chosen: list[int] = []
-    told, seconds = 0.0, 0.0
+    information, seconds = 0.0, 0.0
     parts: list[Trajectory] = []
     while True:
+        # Of each phase that is left: the motion to it, how long both last, and how many nats it would add.
         others = [i for i in range(len(phases)) if i not in chosen]
-        at = phases[chosen[-1]].low if chosen else None
-        ways = {
-            i: phases[i].move_from(at) if at is not None else phases[i].approach(width, actuator.range) for i in others
+        position = phases[chosen[-1]].low if chosen else None
+        transfers = {
+            i: phases[i].move_from(position) if position is not None else phases[i].approach(width, actuator.range)
+            for i in others
         }
-        takes = {i: ways[i].duration_s + phases[i].strokes.duration_s for i in others}
-        adds = {
-            i: outlook.expected([*chosen, i], seconds + took) - told
-            for i, took in takes.items()
-            if not chosen or seconds + took <= _LONGEST_S
+        durations_s = {i: transfers[i].duration_s + phases[i].strokes.duration_s for i in others}
+        gains = {
+            i: outlook.expected([*chosen, i], seconds + duration_s) - information
+            for i, duration_s in durations_s.items()
+            if not chosen or seconds + duration_s <= _LONGEST_S
         }
-        i = max(adds, key=lambda i: adds[i] / takes[i], default=None)
-        if i is None or (seconds >= _SHORTEST_S and adds[i] < _NO_MORE):
+        i = max(gains, key=lambda i: gains[i] / durations_s[i], default=None)
+        if i is None or (seconds >= _SHORTEST_S and gains[i] < _NO_MORE):
             break
         chosen.append(i)
-        parts += [ways[i], phases[i].strokes]
-        told, seconds = told + adds[i], seconds + takes[i]
+        parts += [transfers[i], phases[i].strokes]
+        information, seconds = information + gains[i], seconds + durations_s[i]
     motion = trajectory.in_turn(*parts)
     if sway:
         motion = motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S)
-    why = _in_words([phases[i] for i in chosen], actuator.unit) + (" while the other axes sway" if sway else "")
-    return NextMotion(why, motion, told, rivals.entropy)
+    why = _phases_in_words([phases[i] for i in chosen], actuator.unit) + (" while the other axes sway" if sway else "")
+    return NextMotion(why, motion, information, rivals.entropy)
 
 
-def _in_words(phases: Sequence[_Phase], unit: str) -> str:
-    """What a motion of these phases is."""
+def _phases_in_words(phases: Sequence[_Phase], unit: str) -> str:
+    """Describes a motion of these phases: its strokes, speeds and longest rest. unit: of q."""
     strokes = [phase.high - phase.low for phase in phases]
     speeds, rest = [phase.speed for phase in phases], max(phase.rest_s for phase in phases)
     of_strokes = f"strokes of {min(strokes):.2g} to {max(strokes):.2g} {unit}"
     return f"{of_strokes} at {min(speeds):.2g} to {max(speeds):.2g} {unit}/s with rests of up to {rest:.1f} s"
 
 
-def _latest(fitter: Fitter) -> Segment:
-    """The recording that ends last, in whatever order they were given: the next one comes after it."""
+def _latest_recording(fitter: Fitter) -> Segment:
+    """The recording that ends last, whatever the order in which they were given."""
     return max(fitter.segments, key=lambda segment: segment.end_s)
 
 
 def _moves_other_axes(motor: Motor) -> bool:
-    """Whether translation or rotation varies in a recording, so that the set-up can move these axes."""
+    """Whether translation or rotation varies in a recording, so that the set-up is able to move these axes."""
     return any(x is not None and float(np.ptp(x)) > 0.0 for x in (motor.translation_mm, motor.rotation_deg))
 
 
 def _phases(fitter: Fitter) -> list[_Phase]:
-    """Phases to choose from, spread evenly over place, the logarithms of amplitude and speed, and the root of the rest:
-    within the rig's range where the recordings have been, and no faster than they were. They are the second `count`
-    points of Sobol's sequence, as even as the first but without its origin, the shortest and slowest phase."""
+    """Phases to choose from. They are spread evenly over place, the logs of amplitude and speed, and the root of the
+    rest; within the rig's range where the recordings have been, and no faster than they were. They are the second
+    `count` points of Sobol's sequence: as even as the first, but without its origin, which is the shortest and slowest
+    phase."""
     actuator = fitter.model.rig.actuator
     span = actuator.span
     low = max(actuator.range[0], min(float(s.motor.q.min()) for s in fitter.segments))
@@ -165,6 +170,7 @@ def _phases(fitter: Fitter) -> list[_Phase]:
     count = _PHASES if all(s.drive is None for s in fitter.segments) else _OF_SIMULATOR
     phases = []
     for of_stroke, of_place, of_speed, of_rest in qmc.Sobol(4, scramble=False).random(2 * count)[count:]:
+        # Each number of the sequence, 0 to 1, places one property between its limits; stroke and speed geometrically.
         stroke = min(shortest * ((high - low) / shortest) ** of_stroke, _STROKE_S * fastest)
         speed = _SLOWEST * span * (fastest / (_SLOWEST * span)) ** of_speed
         from_ = low + of_place * (high - low - stroke)
@@ -172,18 +178,19 @@ def _phases(fitter: Fitter) -> list[_Phase]:
     return phases
 
 
-def _segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
-    """A phase as a recording after the last one: an observation each _PERIOD_S, of which only the time counts, once the
-    tip has been taken to both envelopes. width: the widest B, unit of q; sway: whether the other axes do."""
-    last, actuator = _latest(fitter), fitter.model.rig.actuator
+def _planned_segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
+    """A phase as a recording made after the last one. It has an observation every _PERIOD_S once the tip has been taken
+    to both envelopes; only their times are meant, the observed values are 0. width: the widest B, unit of q; sway:
+    whether the other axes sway."""
+    last, actuator = _latest_recording(fitter), fitter.model.rig.actuator
     approach = phase.approach(width, actuator.range)
     motion = trajectory.in_turn(approach, phase.strokes)
     if sway:
         motion = motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S)
     # The last point as well: a motor rests there.
-    at = np.union1d(np.arange(0, len(motion.t_s), _KNOTS), len(motion.t_s) - 1)
-    translation, rotation = (None if x is None else x[at] for x in (motion.translation_mm, motion.rotation_deg))
-    motor = Motor(motion.t_s[at], motion.q[at], None, translation, rotation)
+    knots = np.union1d(np.arange(0, len(motion.t_s), _KNOTS), len(motion.t_s) - 1)
+    translation, rotation = (None if x is None else x[knots] for x in (motion.translation_mm, motion.rotation_deg))
+    motor = Motor(motion.t_s[knots], motion.q[knots], None, translation, rotation)
     scene = np.arange(approach.duration_s, motion.duration_s, _PERIOD_S)
     return replace(
         last,

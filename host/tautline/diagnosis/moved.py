@@ -22,41 +22,42 @@ _LEAST_SHARE = 0.05  # format: of the largest share: a part with less is not lis
 
 @dataclass(frozen=True)
 class Moved:
-    """A part of the nominal model that had to move."""
+    """A part of the nominal model that a recalibration had to change."""
 
     id: str  # one of fit.PARTS
     share: float  # of what the recalibration closes, 0 to 1
 
 
 def closes(before: float, after: float, floor: float, most: float = CLOSES) -> bool:
-    """Whether there is a gap and less than a share `most` of its power above the noise is left: after^2 - floor^2 <
-    most (before^2 - floor^2). before, after, floor: rms."""
+    """Whether there is a gap, and the power that is left of it above the noise is below a share `most`: after^2 -
+    floor^2 < most (before^2 - floor^2) and before > floor. before, after, floor: rms, px or deg."""
     open_before = before**2 - floor**2
     return open_before > 0.0 and after**2 - floor**2 < most * open_before
 
 
 def closes_all(before: float, after: float, floor: float, still_open: bool, unexplained_by_law: float) -> bool:
-    """Whether a recalibration closes the whole gap: it leaves less than a share CLOSES, and if that is more than noise
-    (`still_open`), less than the share that a law may leave. before, after, floor: rms; unexplained_by_law: that
-    share."""
+    """Whether a recalibration closes the whole gap: it leaves less than a share CLOSES of the gap's power above the
+    noise, and if that is more than noise (`still_open`), less than the share that a law may leave,
+    `unexplained_by_law`. before, after, floor: rms, px or deg."""
     return closes(before, after, floor) and (not still_open or closes(before, after, floor, unexplained_by_law))
 
 
 def by_freeing(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[Moved]:
-    """The parts of the nominal model that moved, the largest share first, by what fits with each set of them free
-    close, where that of all of them, `base`, closes the gap. frozen: residuals (scored, k) of each recording by the
-    calibrated model. If the gap stays open without the registration, that was wrong from the start, and f_remain, which
-    had been bent by it, is counted with it."""
+    """The parts of the nominal model that moved, the largest share first, if the recalibration `base` closes the gap:
+    Shapley shares of what fits close with each set of parts free. If the gap stays open unless the registration is
+    free, the registration was wrong from the start; f_remain, which had been bent by it, is then freed with it, and
+    only these two share. frozen: residuals (scored, k) of each recording by the calibrated model."""
     coarse, floor = fitter.coarse, fitter.floor
     before = gap.rms(frozen[1:])
     excess = max(before**2 - floor**2, 1e-300)
 
     def after(fit: Fit) -> float:
-        """rms over the tests."""
+        """Rms of a fit's residuals over the tests, px or deg."""
         return gap.rms(fit.residuals[1:])
 
     def closed(free: Collection[str]) -> float:
-        """Share of the gap's power above the noise that freeing these parts closes, 0 to 1."""
+        """Share, 0 to 1, of the gap's power above the noise that is closed by freeing these parts. It fits them, except
+        for all of PARTS, which `base` has fitted."""
         if not free:
             return 0.0
         left = after(base) if set(free) == set(PARTS) else after(coarse.nominal(free))
@@ -71,15 +72,16 @@ def by_freeing(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[Moved
 
 
 def of_named(shrinks: Sequence[tuple[str, float]]) -> list[Moved]:
-    """Named effects that are parts of the nominal model with their shares, which sum to 1; [] where nothing shrinks.
-    shrinks: (id, by how much it shrinks the gap)."""
+    """Makes parts that moved of named effects, all of which are parts of the nominal model; their shares sum to 1, and
+    negative ones count as 0. [] where nothing shrinks. shrinks: (id, by how much it shrinks the gap)."""
     total = sum(max(share, 0.0) for _, share in shrinks)
     return [Moved(name, max(share, 0.0) / total) for name, share in shrinks] if total > 0.0 else []
 
 
 def _shapley_shares(parts: Sequence[str], worth: Callable[[frozenset[str]], float]) -> list[Moved]:
-    """The parts with their Shapley shares, the largest first, without those below _LEAST_SHARE of the largest. worth:
-    share of the gap that a set of parts closes."""
+    """The parts with their Shapley shares of the gap, the largest first; parts below _LEAST_SHARE of the largest are
+    left out, and the shares of the others sum to 1. worth: maps a set of parts to the share of the gap that it
+    closes."""
     added = [max(share, 0.0) for share in shares(parts, worth)]
     listed = [(part, share) for part, share in zip(parts, added, strict=True) if share > _LEAST_SHARE * max(added)]
     return sorted(of_named(listed), key=lambda m: -m.share)

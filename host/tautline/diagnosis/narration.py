@@ -43,22 +43,26 @@ _SHRINKS = 0.02  # format: shrinkage by an event's mean effect, from which it is
 
 
 def digits(value: float) -> str:
-    """Three significant digits, without an exponent: whole numbers from 1000 on, six decimals below 0.001."""
+    """`value` with three significant digits and without an exponent: whole numbers from 1000 on, six decimals below
+    0.001."""
     if abs(value) >= _WHOLE:
         return f"{value:.0f}"
     return f"{value:.3g}" if abs(value) >= _LEAST_DIGITS or value == 0 else f"{value:.6f}"
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """One name or more as "a, b and c", with `last` before the last one."""
+    """Joins at least one name as "a, b and c"; `last` is the word before the last one."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 def sentence(document: Mapping[str, Any]) -> str:
-    """Verdict, effects and shrinkage in one sentence, and what cannot be told apart in further ones."""
+    """The diagnosis in a sentence: verdict, effects and shrinkage; what cannot be told apart follows in further
+    ones."""
     if document["verdict"] == "none":
         own = document.get("calibration_leaves", 0.0)
-        beyond = f"what it leaves of its own calibration ({digits(own)})" if _leaves_much(document) else "noise"
+        beyond = (
+            f"what it leaves of its own calibration ({digits(own)})" if _calibration_leaves_much(document) else "noise"
+        )
         return (
             f"No gap beyond {beyond}: the calibrated model predicts motions that it never saw to "
             f"{_size_before(document)}, and the noise alone is {digits(document['noise_floor'])}."
@@ -67,17 +71,18 @@ def sentence(document: Mapping[str, Any]) -> str:
 
 
 def _size_before(document: Mapping[str, Any]) -> str:
-    """The gap before with its unit: "0.42 deg rms"."""
+    """The rms of the gap before the correction, with its unit, as "0.42 deg rms"."""
     return f"{digits(document['gap']['before'])} {document['unit']} rms"
 
 
 def _times_noise(document: Mapping[str, Any]) -> str:
-    """The gap before as a multiple of the noise, in words."""
+    """The rms of the gap before the correction as a multiple of the noise, as "12 times the noise"."""
     return f"{document['gap']['before'] / document['noise_floor']:.2g} times the noise"
 
 
 def _unknown_sentence(document: Mapping[str, Any]) -> str:
-    """`sentence` of a gap with an unknown cause: what would close most of it, and why that is not the cause."""
+    """As `sentence`, for a gap with an unknown cause: which effect or refit would close most of it, and why that is not
+    its cause."""
     before, times = _size_before(document), _times_noise(document)
     if _was_early(document):
         return (
@@ -97,7 +102,7 @@ def _unknown_sentence(document: Mapping[str, Any]) -> str:
     if nearest and nearest["shrink"] > max(_NEAR, recalibrated):
         return (
             f"{what} of {before}, {times}: of the known effects {nearest['id']} comes nearest and would close "
-            f"{percent(nearest['shrink'])}, but {_why_not(document, nearest['id'])}{pattern}."
+            f"{percent(nearest['shrink'])}, but {_reason_against(document, nearest['id'])}{pattern}."
         )
     if recalibrated > _NEAR:
         return (
@@ -108,36 +113,36 @@ def _unknown_sentence(document: Mapping[str, Any]) -> str:
 
 
 def _named_effects(document: Mapping[str, Any]) -> str:
-    """The named effects in words, each with its id and probability."""
+    """The named effects in words, each with its id and probability; of more than _IN_WORDS only the first has words."""
     effects = document["effects"]
     said = [
         f"{simulator_words.says(document, e['id'])}{_since_of_part(document, e)} "
-        f"({e['id']}, {percent(e['probability'])} sure{_brings(e)}{_or_else(e) if i else ''})"
+        f"({e['id']}, {percent(e['probability'])} sure{_brought_clause(e)}{_alternatives_clause(e) if i else ''})"
         for i, e in enumerate(effects)
     ]
     if len(effects) > _IN_WORDS:
-        rest = [f"{e['id']} ({percent(e['probability'])}{_or_else(e)})" for e in effects[1:]]
+        rest = [f"{e['id']} ({percent(e['probability'])}{_alternatives_clause(e)})" for e in effects[1:]]
         said = [said[0], f"beside it {listed(rest)}"]
     return listed(said)
 
 
 def _effect_sentences(document: Mapping[str, Any]) -> str:
-    """`sentence` where effects are named."""
+    """As `sentence`, where effects are named."""
     gap, effects = document["gap"], document["effects"]
     named, before, times = _named_effects(document), _size_before(document), _times_noise(document)
     if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
         text = (
-            f"{_capital(named)}: what of it repeats shrinks the gap by {percent(gap['shrink'])} in the model, from "
+            f"{_capitalised(named)}: what of it repeats shrinks the gap by {percent(gap['shrink'])} in the model, from "
             f"{before} to {digits(gap['after'])}; the rest has no path, so no model can predict it away."
         )
     elif effects[0]["id"] in EVENTS:
-        text = f"{_capital(named)}: a gap of {before}, {times}. {_NO_PATH}"
+        text = f"{_capitalised(named)}: a gap of {before}, {times}. {_NO_PATH}"
     else:
         shrinks = "closes" if gap["shrink"] > _CLOSED else f"shrinks by {percent(gap['shrink'])}"
         text = (
-            f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
-            f"from {before} to {digits(gap['after'])}{_closed_above_noise(gap)}; on another motion expect "
-            f"{_between(gap['shrink_ci'])}."
+            f"{_capitalised(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
+            f"from {before} to {digits(gap['after'])}{_closed_above_noise_clause(gap)}; on another motion expect "
+            f"{_interval_in_percent(gap['shrink_ci'])}."
         )
     others = [name for name in effects[0]["ambiguous_with"] if name not in {e["id"] for e in effects}]
     if others:
@@ -148,47 +153,49 @@ def _effect_sentences(document: Mapping[str, Any]) -> str:
     return text
 
 
-def _why_not(document: Mapping[str, Any], name: str) -> str:
-    """Why an unknown cause is not the effect `name` that it resembles, to follow "but"."""
+def _reason_against(document: Mapping[str, Any], name: str) -> str:
+    """The reason why an unknown cause is not the effect `name`, which it resembles; a clause to follow "but"."""
     says = next((entry["says"] for entry in document.get("resembles", ()) if entry["id"] == name), "")
     return f"would be another law elsewhere ({says})" if says else "leaves what it could not"
 
 
-def _closed_above_noise(gap: Mapping[str, Any]) -> str:
-    """Which share of the gap's power above the noise is closed, if that is clearly more than the rms shrinks; else
-    ""."""
+def _closed_above_noise_clause(gap: Mapping[str, Any]) -> str:
+    """A clause that says which share of the gap's power above the noise is closed; "" unless this share is clearly
+    larger than the shrinkage of the rms."""
     share = gap.get("closable_shrink")
     if share is None or share - gap["shrink"] < _NEAR:
         return ""
     return f", {percent(share)} of its power above the noise"
 
 
-def _brings(effect: Mapping[str, Any]) -> str:
-    """The parts of the nominal model that a named effect changed too; "" where there are none."""
+def _brought_clause(effect: Mapping[str, Any]) -> str:
+    """A clause that lists the parts of the nominal model that a named effect changed too; "" where there are none."""
     parts = [part["id"] for part in effect.get("brings", ())]
     return f"; it brings a change of {listed(parts)}" if parts else ""
 
 
-def _or_else(effect: Mapping[str, Any]) -> str:
-    """Which other effects may be there in the place of a named one; "" where there are none."""
+def _alternatives_clause(effect: Mapping[str, Any]) -> str:
+    """A clause that lists the other effects that may be there in the place of a named one; "" where there are none."""
     others = effect["ambiguous_with"]
     return f", or else {listed(others, 'or')}" if others else ""
 
 
 def since(document: Mapping[str, Any], part: Mapping[str, Any]) -> str:
-    """Since when an effect or a part of the nominal model (an entry of diagnosis.json) is there, to follow a sentence;
-    "" where that is all of the robot's recordings, beside a simulator, which was never calibrated."""
+    """A phrase, to follow a sentence, that says since when an effect or part of the nominal model (an entry of
+    diagnosis.json) is there. "" where it is there in all of a robot's recordings beside a simulator, which was never
+    calibrated."""
     in_robot = "simulator" in document and part["since"] == "calibration"
     return "" if in_robot else _SINCE[part["since"]]
 
 
 def _since_of_part(document: Mapping[str, Any], effect: Mapping[str, Any]) -> str:
-    """Since when a part of the nominal model is another; "" for other effects."""
+    """As `since`, if the effect is a part of the nominal model; "" for other effects."""
     return since(document, effect) if BY_ID[effect["id"]].nominal else ""
 
 
 def moved(document: Mapping[str, Any]) -> str:
-    """Which parts of the nominal model had to move, with their shares; "" for a single one, which `sentence` names."""
+    """A sentence that lists the parts of the nominal model that moved, with their shares; "" for one part or none, as
+    `sentence` names it."""
     parts = document["moved"]
     if len(parts) < 2:
         return ""
@@ -197,53 +204,53 @@ def moved(document: Mapping[str, Any]) -> str:
 
 
 def percent(share: float) -> str:
-    """A share, 0 to 1, as "12 %"."""
+    """A share, 0 to 1, as whole percent: "12 %"."""
     return f"{round(100 * share)} %"
 
 
-def _between(interval: Sequence[float]) -> str:
-    """An interval of shares as "12 to 34 %"."""
+def _interval_in_percent(interval: Sequence[float]) -> str:
+    """An interval (low, high) of shares, 0 to 1, as "12 to 34 %"."""
     low, high = interval
     return f"{round(100 * low)} to {percent(high)}"
 
 
 def flexible(document: Mapping[str, Any]) -> str:
-    """What a Gaussian process without any physics would close of the gap, or of what is left of it; "" where none was
-    fitted."""
+    """Sentences on what a Gaussian process, which knows no physics, would close of the gap, or with named effects of
+    what is left of it, and on an oscillation if there is one; "" where no process was fitted."""
     closed = document.get("flexible")
     if not closed:
         return ""
     what = "what is left" if document["verdict"] == "effect" else "the gap"
-    swing = _swing(document)
+    swing = _swing_period(document)
     text = ""
     if swing:
         text = (
-            f"{_capital(what)} swings with a period of {swing:.2g} s ({60 / swing:.0f} a minute), whatever the motor "
-            "does. "
+            f"{_capitalised(what)} swings with a period of {swing:.2g} s ({60 / swing:.0f} a minute), whatever the "
+            "motor does. "
         )
     share = closed["closable_shrink"]
     process = "a flexible model of motor position, travel since the reversal, speed, time and the other axes"
     if share < _HARDLY:
         return text + (
-            f"{_capital(process)} would follow hardly any of {what}: it goes with nothing that was recorded, "
+            f"{_capitalised(process)} would follow hardly any of {what}: it goes with nothing that was recorded, "
             "or does not repeat."
         )
     return text + (
-        f"{_capital(process)} would follow {percent(share)} of {what} above the noise "
+        f"{_capitalised(process)} would follow {percent(share)} of {what} above the noise "
         f"({digits(closed['before'])} to {digits(closed['after'])} {document['unit']} rms): so much of it repeats."
     )
 
 
 @dataclass(frozen=True)
 class NextStep:
-    """Something to do next."""
+    """Something that the user should do next."""
 
     says: str  # in a sentence
     command: str = ""  # that does it; "" where none does
 
 
 def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
-    """What to do next, the most useful first. folder: where the diagnosis is kept, for the commands."""
+    """What the user should do next, the most useful first. folder: where the diagnosis is kept, for the commands."""
     if document["verdict"] == "none" or _is_small(document):
         as_it_is = NextStep("Use the model as it is: these motions show nothing large that it lacks.")
         of_simulator = simulator_words.steps({**document, "effects": []})  # no effect is large enough to be added
@@ -272,8 +279,9 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
 
 
 def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
-    """Where to look at the instrument while the cause is unknown."""
-    swing = _swing(document)
+    """The step that says where to look at the instrument for the cause: what swings with a known period, or, if the
+    cause is unknown, where the gap is largest. [] for a known cause."""
+    swing = _swing_period(document)
     if swing and not document["effects"]:
         return [NextStep(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan.")]
     if document["verdict"] != "unknown":
@@ -287,7 +295,8 @@ def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
 
 
 def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]:
-    """What to record where the recordings cannot tell effects apart. folder: as a shell takes it."""
+    """The step that says what to record so that effects which could not be told apart can be; [] where there is nothing
+    to tell apart. folder: the diagnosis', quoted for a shell."""
     effects, following = document["effects"], document["next_motion"]
     ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
     if {LOAD, DRIFT} <= ambiguous:
@@ -309,8 +318,8 @@ def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]
 
 
 def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> list[NextStep]:
-    """What to do with the corrected tables of named effects, the leading one first, in the order in which it is told.
-    folder: where the diagnosis wrote `corrected`, as a shell takes it."""
+    """The steps that use the corrected tables, in the order in which they are told. effects: the named ones, the
+    leading one first; folder: where the diagnosis wrote `corrected`, quoted for a shell."""
     todo = [
         NextStep(
             "Try the tables against an instrument that has this effect.",
@@ -329,8 +338,8 @@ def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> lis
 
 
 def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
-    """The next step at the board: what `taut flash` can load of the named effects (entries of diagnosis.json). folder:
-    as a shell takes it."""
+    """The step that loads the corrected tables into a board: the command, and which of the named effects (entries of
+    diagnosis.json) no table can undo, with the reasons. folder: the diagnosis', quoted for a shell."""
     command = f"taut flash {folder}/corrected"
     coupled = any(e["id"] == COUPLED for e in effects)
     if coupled:
@@ -351,7 +360,8 @@ def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
 
 
 def tip(document: Mapping[str, Any]) -> str:
-    """The simulated error of the tip with the old and the new tables; "" where it was not simulated."""
+    """A sentence on the simulated error of the tip with the old and with the new tables; "" where it was not
+    simulated."""
     errors = document.get("tip")
     if not errors:
         return ""
@@ -363,7 +373,8 @@ def tip(document: Mapping[str, Any]) -> str:
 
 
 def left_out_frames(document: Mapping[str, Any]) -> str:
-    """Which share of the videos' frames was not scored, and why; "" where hardly any."""
+    """A sentence on the share of the videos' frames that were not scored, and why; "" where hardly any were left
+    out."""
     tracked = document.get("tracker")
     if not tracked or tracked["left_out"] < _LEFT_OUT:
         return ""
@@ -374,7 +385,8 @@ def left_out_frames(document: Mapping[str, Any]) -> str:
 
 
 def text(document: Mapping[str, Any], folder: str) -> str:
-    """The diagnosis as text for a terminal: sentence, gap, candidates, next steps, and where its page is."""
+    """The whole diagnosis as text for a terminal: sentence, sizes of the gap, candidates, next steps, and the path of
+    its page. folder: where the diagnosis is kept."""
     gap, unit = document["gap"], document["unit"]
     low, high = gap["after_ci"]
     lines = [sentence(document), ""]
@@ -403,8 +415,9 @@ def text(document: Mapping[str, Any], folder: str) -> str:
 
 
 def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]:
-    """[(id or words, probability to lead, what it closes in words)], the likeliest first, of up to `most` candidates,
-    of an unknown cause and of none, those with a probability of SHOWN or more; "" where it closes next to nothing."""
+    """[(id or words, probability to lead, what it closes in words)], the likeliest first: up to `most` candidates, an
+    unknown cause and no gap, if their probability is at least SHOWN. The words are "" where an effect closes next to
+    nothing."""
     least = least_told(document)
     said = [
         (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
@@ -418,41 +431,42 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
 
 
 def least_told(document: Mapping[str, Any]) -> float:
-    """The share of the gap below which nothing is said of what an effect closes."""
+    """The share of the gap that an effect must close for it to be said; it depends on the verdict."""
     return {"effect": LEAST_TOLD, "unknown": _NEAR, "none": 1.0}[str(document["verdict"])]
 
 
 def _pattern(document: Mapping[str, Any]) -> str:
-    """The pattern of an unexplained gap: a swing's period or the signature; "" where none was seen."""
-    swing = _swing(document)
+    """A clause on the pattern of an unexplained gap: its period if it swings, else its signature; "" where neither was
+    seen."""
+    swing = _swing_period(document)
     if swing:
         return f"; it swings with a period of {swing:.2g} s, whatever the motor does"
     return f"; it is {document['signature']}" if document["signature"] else ""
 
 
-def _swing(document: Mapping[str, Any]) -> float | None:
-    """The period, s, of an oscillation of the gap that no motion drives; None where there is none, or no flexible model
-    was fitted."""
+def _swing_period(document: Mapping[str, Any]) -> float | None:
+    """The period, s, of an oscillation of the gap that no motion drives. None where there is none, or where no Gaussian
+    process was fitted."""
     closed = document.get("flexible")
     return closed.get("swing_s") if closed else None
 
 
-def _leaves_much(document: Mapping[str, Any]) -> bool:
-    """Whether the calibrated model leaves more than _SOUND times the noise of its own calibration."""
+def _calibration_leaves_much(document: Mapping[str, Any]) -> bool:
+    """Whether the calibrated model leaves more than _SOUND times the noise on its own calibration."""
     return bool(document.get("calibration_leaves", 0.0) > _SOUND * document["noise_floor"])
 
 
 def _was_early(document: Mapping[str, Any]) -> bool:
-    """Whether an unknown cause was there while calibrating, and nothing else changed since."""
+    """Whether the cause is unknown and was probably there while calibrating already, with nothing changed since."""
     return document["verdict"] == "unknown" and bool(document.get("unknown_from_start", 0.0) > _EARLY)
 
 
 def _is_small(document: Mapping[str, Any]) -> bool:
-    """Whether the gap has an unknown cause that came later and its rms is below _SMALL times the noise."""
+    """Whether the gap has an unknown cause that came later, and its rms is below _SMALL times the noise."""
     small = bool(document["gap"]["before"] < _SMALL * document["noise_floor"])
     return document["verdict"] == "unknown" and small and not _was_early(document)
 
 
-def _capital(sentence: str) -> str:
-    """The sentence with its first letter in upper case."""
+def _capitalised(sentence: str) -> str:
+    """The sentence with its first letter in upper case; the rest stays as it is."""
     return sentence[:1].upper() + sentence[1:]

@@ -44,8 +44,8 @@ _TITLES = {
 
 
 def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
-    """Writes the page FILE into `folder` and returns its path. known_as: the folder's path in the page's commands,
-    default `folder`, if it is moved later."""
+    """Writes the page FILE into `folder` and returns its path. known_as: the path of the folder that the page's
+    commands show, by default `folder`; for a folder that is moved afterwards."""
     document = diagnosis.document
     unit = diagnosis.nominal.rig.actuator.unit
     named = document["verdict"] == "effect"
@@ -97,15 +97,15 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
 
 
 def _recordings_in_words(diagnosis: Diagnosis) -> str:
-    """Which recordings the diagnosis is of, and how long they are."""
+    """Names the recordings of the diagnosis and their total length, in words."""
     names = [segment.name for segment in diagnosis.segments]
     seconds = sum(float(np.ptp(segment.motor.t_s)) for segment in diagnosis.segments)
     return f"calibrated on {names[0]}, tested on {narration.listed(names[1:])}; {seconds:.0f} s in all"
 
 
 def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The stages from motor to image in order, each with its mark ("named", "guess" or "") and, in words, the largest
-    share of the gap that its effects close."""
+    """The stages from motor to image in order, each with "name", "mark" ("named", "guess" or "") and "says", in words
+    the share of the gap that its effects close or, if none is named, the most that one of them could close."""
     named = {effect["id"].split(".")[0] for effect in document["effects"]}
     marked = document["where"]["stage"]
     stages = []
@@ -125,7 +125,7 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def width_now(nominal: Model, corrected: Model) -> str:
-    """The mean of B over the measured range after and before the correction, in words, with the actuator's unit."""
+    """The mean of B over the measured range, with the actuator's unit, after and before the correction, in words."""
     unit, inside = nominal.rig.actuator.unit, (nominal.q >= nominal.measured[0]) & (nominal.q <= nominal.measured[1])
     was = float(nominal.width[inside].mean())
     now = float(np.interp(nominal.q[inside], corrected.q, corrected.width).mean())
@@ -135,8 +135,9 @@ def width_now(nominal: Model, corrected: Model) -> str:
 def _parameter_rows(
     document: Mapping[str, Any], effect: Mapping[str, Any], unit: str, width: str
 ) -> list[dict[str, Any]]:
-    """The rows of one named effect in the table of parameters: its values, and the parts of the nominal model that it
-    brings. unit: of q; width: what `width_now` says."""
+    """The rows of one named effect in the table of parameters: its values, at most _PARAMETERS, then the parts of the
+    nominal model that it brings. A width has the text `width` (from `width_now`) in place of its values, a curve has
+    none. unit: of q."""
     if of_simulator := simulator_words.values(document, effect["id"]):
         return [_table_row(document, effect, *of_simulator, True)]
     kind = kind_of(Effect(effect["id"], effect["parameters"]))
@@ -153,7 +154,7 @@ def _parameter_rows(
             document,
             effect,
             name.replace("_", " "),
-            f"{narration.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
+            f"{narration.digits(value)} {_unit_in_words(known[name], unit)}".strip() if name in known else value,
             name == next(iter(shown)),
         )
         for name, value in shown.items()
@@ -163,7 +164,8 @@ def _parameter_rows(
 def _table_row(
     document: Mapping[str, Any], effect: Mapping[str, Any], name: str, value: str, first: bool
 ) -> dict[str, Any]:
-    """One row of the table of parameters. first: whether it is the effect's first, which shows the effect too."""
+    """One row of the table of parameters. first: whether it is the effect's first row, in which the page shows the
+    effect too."""
     return {
         "effect": effect["id"],
         "name": name,
@@ -175,13 +177,14 @@ def _table_row(
     }
 
 
-def _unit(parameter: Parameter, unit: str) -> str:
-    """A parameter's unit with the actuator's own `unit` in place of the word "unit"."""
+def _unit_in_words(parameter: Parameter, unit: str) -> str:
+    """The parameter's unit, with the word "unit" replaced by the actuator's own `unit`."""
     return parameter.unit.replace("unit", unit)
 
 
 def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
-    """A title and a picture for each of the first _AXES conditions, the most telling first. unit: of q."""
+    """A title and a picture for each of the first _AXES conditions under which the gap is large; all have the same
+    vertical range. unit: of q."""
     if diagnosis.document["verdict"] == "effect":
         after = {c.axis: c for c in where.conditions(diagnosis.segments[1:], diagnosis.after)}
     else:
@@ -200,7 +203,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
 
 
 def _rms(condition: Condition) -> where.Array:
-    """(bins,) rms of a condition's residuals per coordinate, px or deg."""
+    """(bins,) Rms of the residuals per coordinate in each bin of a condition, px or deg."""
     return np.asarray(np.sqrt(condition.power / condition.mean.shape[1]))
 
 
@@ -208,9 +211,9 @@ def _rms(condition: Condition) -> where.Array:
 def _condition_figure(
     diagnosis: Diagnosis, condition: Condition, after: Condition | None, unit: str, top: float
 ) -> Figure:
-    """The residual over one axis: rms (area), mean of each coordinate (lines), rms after the correction (red). after:
-    the same condition then; unit: of q; top: the common end of all pictures' vertical axes, px or deg."""
-    made, axes = figures.figure(3.5, 2.2)
+    """Draws the residual over one axis: rms (area), mean of each coordinate (lines), and rms after the correction (red)
+    if `after`, the same condition then, is given. unit: of q; top: upper end of the vertical axis, px or deg."""
+    figure, axes = figures.figure(3.5, 2.2)
     ax: Axes = axes[0, 0]
     floor = diagnosis.document["noise_floor"]
     x, rms = condition.centres, _rms(condition)
@@ -238,27 +241,28 @@ def _condition_figure(
     low = min(0.0, float(condition.mean.min()))
     ax.set_ylim(_MARGIN * low, _MARGIN * top)
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
-    return made
+    return figure
 
 
 @mpl.rc_context(figures.STYLE)
 def residuals(diagnosis: Diagnosis) -> Figure:
-    """The rms residual of each scored observation, px or deg, over the session's time in s, by both models."""
-    made, axes = figures.figure(10.5, 2.8)
+    """Draws the rms residual of each scored observation, px or deg, over the session's time, s, by the calibrated model
+    and, if effects are named, by the corrected one."""
+    figure, axes = figures.figure(10.5, 2.8)
     ax = axes[0, 0]
     named = diagnosis.document["verdict"] == "effect"
     series = [(diagnosis.before, figures.GREY, "calibrated model")]
     if named:
         series.append((diagnosis.after, figures.MODEL, "corrected"))
     tests = diagnosis.segments[1:]
-    every = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
+    stride = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
     for values, colour, label in series:
         for i, (segment, residual) in enumerate(zip(tests, values, strict=True)):
             t = segment.session_s[segment.scored]
             size = np.sqrt(np.mean(residual**2, axis=1))
             ax.plot(
-                t[::every],
-                size[::every],
+                t[::stride],
+                size[::stride],
                 ".",
                 markersize=2.5,
                 color=colour,
@@ -286,4 +290,4 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     ends = [segment.motor.t_s[[0, -1]] + segment.offset_s for segment in tests]
     ax.set_xlim(float(np.min(ends)), float(np.max(ends)))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4)
-    return made
+    return figure

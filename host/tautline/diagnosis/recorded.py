@@ -17,33 +17,35 @@ _TRACKING = 0.5  # format: share of a calibration's progress that is of videos
 
 
 def with_markers(recordings: Sequence[Recording], rig: Rig, progress: Progress) -> list[Recording]:
-    """The recordings with their marker tracked where they have a video only. progress: called with the share of the
-    recordings that is done, 0 to 1, and what is done now, where a video is tracked. TautError as `with_marker`."""
+    """The recordings, with the marker tracked in those that have only a video. progress: called while a video is
+    tracked, with the share of the recordings that is done, 0 to 1, and what is done now. TautError as `with_marker`."""
     seen = []
     for i, recording in enumerate(recordings):
         done = i / len(recordings)
 
-        def of_all(fraction: float, text: str, done: float = done) -> None:
-            """The progress of one recording as that of all."""
+        def report_of_all(fraction: float, text: str, done: float = done) -> None:
+            """Reports the progress of one recording as a part of all."""
             progress(done + fraction / len(recordings), text)
 
-        seen.append(with_marker(recording, rig, of_all))
+        seen.append(with_marker(recording, rig, report_of_all))
     return seen
 
 
 def calibrated(
     recordings: Sequence[Recording], rig: Rig, progress: Progress = lambda fraction, text: None
 ) -> tuple[Calibration, list[Recording]]:
-    """(A calibration on the first recording, all recordings on the motor's clock), with their marker tracked where they
-    have a video only. progress: called with the share that is done, 0 to 1, and what is done now. TautError where
+    """(A calibration on the first recording, all recordings on the motor's clock); the marker is tracked in recordings
+    that have only a video. progress: called with the share that is done, 0 to 1, and what is done now. TautError where
     nothing can be measured."""
     seen = with_markers(recordings, rig, lambda fraction, text: progress(_TRACKING * fraction, text))
     before = 0.0 if all(new is old for new, old in zip(seen, recordings, strict=True)) else _TRACKING
 
-    def further(fraction: float, text: str) -> None:
-        """The calibration's progress after that of the videos."""
+    def report_calibration(fraction: float, text: str) -> None:
+        """Reports the calibration's progress as the part that comes after the videos."""
         progress(before + (1.0 - before) * fraction, text)
 
-    calibration = calibrate(seen[:1], rig, progress=further, naming=False)  # a diagnosis names what is in all of them
+    calibration = calibrate(
+        seen[:1], rig, progress=report_calibration, naming=False
+    )  # a diagnosis names what is in all of them
     tests = on_motor_clock(seen[1:], rig, one_clock=not calibration.offsets)
     return calibration, [*shifted(seen[:1], calibration.offsets), *tests]

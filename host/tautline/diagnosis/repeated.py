@@ -1,6 +1,6 @@
 """Samples that a sensor's link sends twice (`acquisition.held_samples`). Where a continuous sensor shows the same value
-again to the last digit that is certain, so no fit has to find it: such samples are no observations (segment.repeated),
-and what they add to the gap is put into the finished diagnosis.json."""
+again to the last digit that is certain, so no fit has to find it: such samples are no observations
+(segment.are_repeats), and what they add to the gap is put into the finished diagnosis.json."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ _AS_OFTEN = 0.5  # loss: of the largest share of repeats in a test: a calibratio
 
 
 def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
-    """Adds to the content of a diagnosis.json what repeated samples add to the gap of `model`, and names them as an
-    effect where they are most of it or beside other named effects. segments: the calibration first. load_reference: mNm
-    at which the model's tables hold."""
+    """Adds to a diagnosis.json's content, changing `document`, what repeated samples contribute to the gap of `model`.
+    They are named as an effect if they are most of the gap, or beside other named effects. Does nothing if they surely
+    add less than a share _SEEN of the noise power. segments: the calibration first. load_reference: mNm at which the
+    model's tables hold."""
     power, fresh_power, surely_added = _powers(model, segments[1:], load_reference)
     floor2 = document["noise_floor"] ** 2
     if surely_added < _SEEN * floor2:
@@ -43,16 +44,17 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     _count_repeats_in_gap(document, power, power - fresh_power)
     if named:
         goes_with_time = document["verdict"] == "effect" and any(BY_ID[e["id"]].course for e in document["effects"])
-        shrink(document["gap"], floor2, learnt().later if goes_with_time else learnt().elsewhere)
-    document["count"] = _with_one_more(document["count"], _SURE if named else probability)
+        set_shrinkages(document["gap"], floor2, learnt().later if goes_with_time else learnt().elsewhere)
+    document["count"] = _count_with_one_more(document["count"], _SURE if named else probability)
     if named:
         _name_repeats(document, segments, shrunk, leads)
 
 
 def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tuple[float, float, float]:
-    """(Mean square of a coordinate's residuals over all frames, that over those that repeat none, by how much the
-    former is surely larger), px^2 or deg^2. How often a link stalls is a Poisson number: the difference is scaled down
-    as if there had been fewer stalls by NINE_OF_TEN of its standard deviations; nothing is left of one or two."""
+    """(Mean square of the residuals of all frames, that of the frames which repeat none, a lower bound of their
+    difference), px^2 or deg^2 a coordinate. The number of stalls of the link is a Poisson number; for the bound the
+    difference is scaled as if there had been fewer of them by NINE_OF_TEN standard deviations, so nothing is left of
+    one or two."""
     squares, fresh, frames, stalls = 0.0, 0.0, 0, 0
     for segment in tests:
         power = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
@@ -68,9 +70,9 @@ def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tu
 
 
 def _add_candidate(document: dict[str, Any], probability: float, shrink: float) -> float:
-    """Adds held samples to the candidates with `probability`, which all others give up in proportion, plus what is left
-    of the probability they had as a candidate already. shrink: share of the gap's rms that they are. Returns their
-    probability."""
+    """Adds held samples to the candidates of `document`, or replaces them there, and returns their probability:
+    `probability`, which all others give up in proportion, plus what is left of the one that they had as a candidate.
+    shrink: their share of the gap's rms."""
     for candidate in document["candidates"]:
         candidate["probability"] *= 1.0 - probability
     document["probability_none"] *= 1.0 - probability
@@ -83,8 +85,9 @@ def _add_candidate(document: dict[str, Any], probability: float, shrink: float) 
 
 
 def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], shrink: float, leads: bool) -> None:
-    """Makes held samples a named effect, the first one if it leads, and there from the start if the calibration has as
-    many; what the others shrink is then of the rest. shrink: share of the gap's rms that they are."""
+    """Makes held samples a named effect of `document`, the first one if it `leads`, else the last; they count as there
+    from the start if the calibration has about as many. The shares of the other effects become shares of the rest.
+    shrink: their share of the gap's rms."""
     held_shares = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     if document["verdict"] == "unknown":
         document["effects"] = []
@@ -108,20 +111,20 @@ def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], shrink:
         document["where"]["stage"] = BY_ID[HELD].stage
 
 
-def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
-    """The probabilities of 0, 1, 2 and 3 or more effects, out of the same in `count`, if with `probability` there is
-    one effect more."""
+def _count_with_one_more(count: Sequence[float], probability: float) -> list[float]:
+    """The probabilities of 0, 1, 2 and 3 or more effects after an effect is added with this probability to those of
+    `count`."""
     none, one, two, more = count
     shifted = (0.0, none, one, two + more)
     return [probability * new + (1.0 - probability) * old for new, old in zip(shifted, count, strict=True)]
 
 
 def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -> None:
-    """Changes the sizes of the gap in a diagnosis.json so that its mean square before is `power`, of which the repeated
-    samples have `added`. A recalibration and any other effect alone leave what they added; with what is named beside
-    them each is as far off as the sample that it repeats."""
+    """Changes the sizes of the gap in `document` so that its mean square before is `power`, of which repeated samples
+    contribute `added` (px^2 or deg^2). A recalibration, or any other effect alone, leaves `added` as it is; with the
+    named effects each repeated sample is as far off as the one that it repeats."""
     recalibrated, fresh, before = document["gap_recalibrated"], document["gap"]["before"], float(np.sqrt(power))
-    grow(document["gap"], before)
+    set_size_before(document["gap"], before)
     recalibrated["before"] = float(np.sqrt(recalibrated["before"] ** 2 + added))
     for candidate in document["candidates"]:
         if candidate["id"] != HELD:
@@ -129,17 +132,17 @@ def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) 
             candidate["shrink"] = 1.0 - float(np.sqrt(left**2 + added)) / before
 
 
-def grow(sizes: dict[str, Any], before: float) -> None:
-    """Changes the sizes of a gap, diagnosis.json's `gap`, so that its rms before, with the repeated samples, is
-    `before`, px or deg."""
+def set_size_before(sizes: dict[str, Any], before: float) -> None:
+    """Sets the rms before of `sizes` (diagnosis.json's `gap`, changed in place) to `before`, px or deg, which includes
+    repeated samples; its interval is scaled alike."""
     fresh = sizes["before"]
     sizes["before"], sizes["before_ci"] = before, [before / fresh * end for end in sizes["before_ci"]]
 
 
-def shrink(sizes: dict[str, Any], floor2: float, excess: tuple[float, float]) -> None:
-    """Changes what the sizes of a gap, diagnosis.json's `gap`, shrink by, as repeated samples are named beside its
-    effects. The interval covers other blocks, by the worst ends of both sizes, and other motions. floor2: noise power;
-    excess: as in `gap.shrink_interval_elsewhere`."""
+def set_shrinkages(sizes: dict[str, Any], floor2: float, excess: tuple[float, float]) -> None:
+    """Computes anew the shrinkages of `sizes` (diagnosis.json's `gap`, changed in place) from its rms before and after,
+    as repeated samples are named too. The interval covers other blocks, by the worst ends of both rms intervals, and
+    other motions. floor2: noise power; excess: as in `gap.shrink_interval_elsewhere`."""
     (before_low, before_high), (after_low, after_high) = sizes["before_ci"], sizes["after_ci"]
     ratio = sizes["after"] / sizes["before"]
     low, high = gap.shrink_interval_elsewhere(ratio, excess)

@@ -24,9 +24,9 @@ _ENDS: Mapping[str, tuple[str, str]] = {  # in words, the low and the high end o
 
 
 def closest_effects(gathered: Gathered, before: float) -> list[dict[str, Any]]:
-    """The list `resembles` of diagnosis.json: up to _MOST single effects that close most of an unexplained gap, each
-    with the share of the rms that it closes and with its amplitude at both ends of what it varies with, in words (""
-    where it does not vary). before: rms of the tests' gap, px or deg."""
+    """The list `resembles` of diagnosis.json: the up to _MOST single effects that would close most of an unexplained
+    gap. Each has the share of the rms that it closes, and in words its amplitude at both ends of the axis along which
+    it varies ("" where it does not vary). before: rms of the tests' gap, px or deg."""
     best: dict[str, dict[str, Any]] = {}
     for candidate, varies in zip(gathered.candidates, decide.wanders(gathered.evidence), strict=True):
         if len(candidate.ids) != 1 or not candidate.predicts_an_effect:
@@ -41,8 +41,8 @@ def closest_effects(gathered: Gathered, before: float) -> list[dict[str, Any]]:
 
 
 def _amplitudes_in_words(fit: Fit, axis: str, low: float, high: float) -> str:
-    """The amplitude of a fit's effect at the low and the high end of an axis in words ("30 ms when slow, 80 ms when
-    fast"); where it has several amplitudes, as multiples. low, high: multiples of the fitted amplitude."""
+    """The amplitude of the fit's first effect at the low and the high end of an axis, in words ("30 ms when slow, 80 ms
+    when fast"); as multiples where the effect has several amplitudes. low, high: multiples of the fitted amplitude."""
     kind = fit.hypothesis.kinds[0]
     name, unit = kind.amplitudes[0].name, kind.amplitudes[0].unit
     if len(kind.amplitudes) == 1 and name in fit.state.values:

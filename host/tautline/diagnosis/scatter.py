@@ -55,7 +55,7 @@ _SECONDS, _JUMP_SIZES, _LENGTHS = 41, 61, 31  # tolerance: members of each famil
 
 @dataclass(frozen=True)
 class Scatter:
-    """How well each explanation predicts the residuals of a fit."""
+    """How well each explanation predicts the residuals of a fit, block by block."""
 
     # By explanation (the events' ids, RIVALS, _AS_IT_IS): (blocks,) -2 mean log-likelihood per coordinate, less a
     # constant, so that a Gaussian of variance v gives log v; 0 of blocks in which no frame counts.
@@ -64,17 +64,20 @@ class Scatter:
 
     @property
     def plain(self) -> Array:
-        """(blocks,) The loss of the residuals as noise of one level at rest and one while the motor drives."""
+        """(blocks,) The loss of the residuals as they are: Gaussian noise of one level at rest and one while the motor
+        drives."""
         return self.loss[_AS_IT_IS]
 
     def beats_noise(self, event: str) -> bool:
-        """Whether an event is a better explanation than noise of another level while the motor drives."""
+        """Whether the event with this id predicts the residuals better than noise whose level changes while the motor
+        drives."""
         return float(np.mean(self.loss[event])) < float(np.mean(self.loss["level"]))
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The n frames of a recording that count: scored, with _REMEMBERED predecessors of which none was lost."""
+    """The n frames of a recording that count: those that are scored and whose _REMEMBERED predecessors arrived without
+    a gap."""
 
     residual: Array  # (n, k) observed less predicted, px or deg
     moved: Array  # (n, k) observed, from the frame before
@@ -82,8 +85,8 @@ class Frames:
     waited_s: Array  # (n,) by what its time of arrival says of when it was taken (`waits_s`)
     driven: Array  # (n,) by how much the play's centre moved since the frame before, unit of q
     place: Array  # (n,) the play's centre, unit of q
-    way: Array  # (n,) the sign of its motion, at rest of the motion before; 0 until it moves
-    per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest that of the motion before
+    way: Array  # (n,) sign of the centre's motion, at rest that of the last motion; 0 until it moves
+    per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest as in the last motion
     image: Array  # (n, k) observed
     before: Array  # (n, k, _REMEMBERED) residuals of the frames before
     block: npt.NDArray[np.int64]  # (n,) the number of the block of manoeuvres
@@ -91,9 +94,9 @@ class Frames:
 
 
 def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], tests_only: bool) -> Scatter:
-    """How well each explanation predicts the residuals of a fit. labels: (scored,) of each recording, the number of
-    each observation's block. tests_only: for an event that came after the calibration, whose frames do not count then.
-    Frames near a moment of the fit (shift, slip) do not count either."""
+    """Compares how well each explanation predicts the residuals of a fit. labels: (scored,) of each recording, the
+    number of each observation's block. tests_only: leave the calibration's frames out, for an event that came after it.
+    Frames near a moment of the fit (shift, slip) are left out always."""
     parts, blocks = [], 0
     for segment, label, times in zip(fitter.segments, labels, fitter.relative_noise, strict=True):
         block = np.full(len(segment.scored), -1)
@@ -107,15 +110,15 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], te
             path, predicted = segment.predict(fit.state.model, parameters, fitter.load_reference)
             seen = segment.observed / times
             parts.append(frames(segment.arrival_s, seen, predicted / times, path.p, block, segment.calibration))
-    return compared(parts, fitter.floor, blocks)
+    return compare_explanations(parts, fitter.floor, blocks)
 
 
 def frames(
     t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDArray[np.int64], calibration: bool = False
 ) -> Frames:
-    """The frames of one recording that count. t: arrival times (n,), s; observed, predicted: (n, k); p: the play's
-    centre coordinate (n,), unit of q; block: (n,) the number of the block, -1 of frames that are not scored;
-    calibration: whether it is of the calibration."""
+    """Collects the frames of one recording that count. t: arrival times (n,), s, rising; observed, predicted: (n, k),
+    px or deg; p: the play's centre (n,), unit of q; block: (n,) the number of the block, -1 for frames that are not
+    scored; calibration: whether this is the calibration's recording."""
     follows = np.concatenate([[False], np.diff(t) < _GAP * period_s(t)])  # the frame before
     counts = block >= 0
     for back in range(1, _REMEMBERED + 1):
@@ -144,18 +147,18 @@ def frames(
     )
 
 
-def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
-    """The loss of each explanation, and the events' amounts, by maximum likelihood. parts: of each recording; floor:
-    one standard deviation of the noise of a coordinate, px or deg; blocks: the number of blocks in all. All are 0 where
-    no frame counts."""
+def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
+    """The loss of each explanation and the amount of each event, by maximum likelihood; all are 0 where no frame
+    counts. parts: the frames of each recording; floor: one standard deviation of the noise of a coordinate, px or deg;
+    blocks: the number of blocks in all."""
     if not any(len(part.block) for part in parts):
         names = (JITTER, STICK_SLIP, _AS_IT_IS, *RIVALS)
         return Scatter({name: np.zeros(blocks) for name in names}, dict.fromkeys((JITTER, STICK_SLIP, HELD), 0.0))
     frames = _Joined(parts, floor)
-    # s in which a fast image moves as far as the noise
+    # The time, s, in which a fast image moves as far as one standard deviation of the noise.
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
     seconds = np.geomspace(min(_FINEST * finest_s, _FINEST * _LONGEST_S), _LONGEST_S, _SECONDS)
-    # Each with the part of its scatter that the times of arrival tell, s.
+    # Three kinds of jitter, each with the part of its scatter, s, that the times of arrival tell.
     jitters = (frames.jitter, 0.0), (frames.waiting, 0.0), (frames.stamped, frames.waits_deviation_s)
     of_each = [(frames.likeliest(kind, seconds), told_s) for kind, told_s in jitters]
     (jittered, beside_s), told_s = max(of_each, key=lambda one: _log_likelihood(one[0]))
@@ -189,18 +192,20 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
 
 
 def _log_likelihood(likeliest: tuple[Array, float]) -> float:
-    """Of all frames, of what `_Joined.likeliest` found."""
+    """The log-likelihood of all frames, from the pair that `_Joined.likeliest` returns."""
     return float(np.sum(likeliest[0]))
 
 
 class _Joined:
-    """The n frames of all recordings, and their log-density (n,) under each explanation."""
+    """The n frames of all recordings, and their log-density (n,) under each explanation. Residuals are `as_it_is`, or
+    `residual` after a constant lag of each recording is taken off."""
 
     def __init__(self, parts: Sequence[Frames], floor: float) -> None:
-        """parts: of each recording; floor: one standard deviation of the noise of a coordinate, px or deg."""
+        """parts: the frames of each recording; floor: one standard deviation of the noise of a coordinate, px or
+        deg."""
 
         def joined(field: Callable[[Frames], Array]) -> Array:
-            """A field of the frames of all recordings."""
+            """One field of the frames, concatenated over all recordings."""
             return np.concatenate([field(part) for part in parts])
 
         # Sticking holds the tip back by half a jump in the mean: this lag of each recording is taken off first.
@@ -223,18 +228,19 @@ class _Joined:
         self.speed = np.linalg.norm(self._velocity, axis=1)
         self._moving = self.driven > _MOVES * max(float(np.quantile(self.driven, _FAST)), 1e-12)
         power = max(float(np.mean(self.residual**2)), self._floor2)
-        self._broad = _isotropic(np.sum(self.residual**2, axis=1), power, self.coordinates)
-        # At the position of the frame before, both with their noise.
+        self._broad = _isotropic_log_density(np.sum(self.residual**2, axis=1), power, self.coordinates)
+        # Log-density of the observation about the one of the frame before: both have the noise floor^2.
         moved = joined(lambda f: f.moved)
-        self._repeated = _isotropic(np.sum(moved**2, axis=1), 2.0 * self._floor2, self.coordinates)
+        self._repeated = _isotropic_log_density(np.sum(moved**2, axis=1), 2.0 * self._floor2, self.coordinates)
 
     def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
-        """(Log-density (n,) of the likeliest member of a family of densities, mixed with a broad one; its parameter).
-        family: parameter to log-density (n,); scales: the parameters to try."""
+        """(Log-density (n,) of the likeliest member of a family of densities, after a broad one is mixed in; that
+        member's parameter). family: maps a parameter to the log-density (n,); scales: the parameters to choose from, in
+        order."""
         tried: dict[int, Array] = {}
 
         def unlikely(i: int) -> float:
-            """Minus the log-likelihood of the frames with the i-th of the scales."""
+            """Minus the log-likelihood of all frames with the i-th of the scales; its densities are kept in `tried`."""
             if i not in tried:
                 tried[i] = self._with_broad(family(float(scales[i])))
             return -float(np.sum(tried[i]))
@@ -243,142 +249,159 @@ class _Joined:
         return tried[best], float(scales[best])
 
     def _with_broad(self, log_density: Array) -> Array:
-        """(n,) The log-density (n,) mixed with a share _BROAD of a Gaussian as wide as all residuals."""
+        """(n,) The log-density (n,) of frames of which a share _BROAD follows a Gaussian as wide as all residuals
+        instead."""
         return np.asarray(np.logaddexp(np.log1p(-_BROAD) + log_density, np.log(_BROAD) + self._broad))
 
     def two_levels(self, residual: Array) -> Array:
-        """(n,) Log-density of residuals (n, k) as Gaussian noise of one variance while the motor drives and another
-        while it rests, for each recording, both estimated with outliers cut; a broad density is mixed in."""
+        """(n,) Log-density of residuals (n, k) as Gaussian noise with one variance while the motor drives and one while
+        it rests, for each recording. The variances are the mean squares after outliers are cut, at least floor^2; a
+        broad density is mixed in."""
         squares = np.sum(residual**2, axis=1)
         variance = np.empty(len(residual))
         for number in np.unique(self._recording):
             for part in (self._moving & (self._recording == number), ~self._moving & (self._recording == number)):
                 if part.any():
-                    here = squares[part] / self.coordinates
-                    clipped = np.minimum(here, np.quantile(here, _OUTLIERS))
+                    powers = squares[part] / self.coordinates
+                    clipped = np.minimum(powers, np.quantile(powers, _OUTLIERS))
                     variance[part] = max(float(np.mean(clipped)), self._floor2)
-        return self._with_broad(_isotropic(squares, variance, self.coordinates))
+        return self._with_broad(_isotropic_log_density(squares, variance, self.coordinates))
 
     def by_memory(self) -> Array:
-        """(n, k) What the residuals of the _REMEMBERED frames before predict linearly of each residual."""
+        """(n, k) The linear prediction of each residual from those of the _REMEMBERED frames before it, by least
+        squares."""
         n, k = self.residual.shape
         coefficients = np.linalg.lstsq(self._before.reshape(n * k, -1), self.residual.ravel(), rcond=None)[0]
         return np.asarray(self._before @ coefficients)
 
     def by_place(self) -> Array:
-        """(n, k) What all other blocks, of the calibration or of the tests as the frame's, tell of each residual by the
-        place and the way: straight lines between _PLACES places, with a prior as wide as all residuals."""
+        """(n, k) The prediction of each residual by the place and direction of the motion, learnt from all other
+        blocks, of the calibration or of the tests as the frame itself. It is linear between _PLACES places, and drawn
+        to 0 by a prior as wide as all residuals."""
         low, high = float(self._place.min()), float(self._place.max())
-        at = (self._place - low) / max(high - low, 1e-12) * (_PLACES - 1)
-        left = np.clip(at.astype(int), 0, _PLACES - 2)
-        share = at - left
+        position = (self._place - low) / max(high - low, 1e-12) * (_PLACES - 1)
+        left = np.clip(position.astype(int), 0, _PLACES - 2)
+        share = position - left
         ridge = max(self._floor2 / max(float(np.mean(self.residual**2)), self._floor2), _RIDGE)
-        told: Array = np.zeros_like(self.residual)
+        result: Array = np.zeros_like(self.residual)
         for way, calibration in product((-1.0, 1.0), (False, True)):
-            here = np.flatnonzero((self._way == way) & (self._calibration == calibration))
-            blocks = {int(number): here[self.block[here] == number] for number in np.unique(self.block[here])}
-            normals = {number: _lines_normal(left[of], share[of], self.residual[of]) for number, of in blocks.items()}
+            frames_of_part = np.flatnonzero((self._way == way) & (self._calibration == calibration))
+            blocks = {
+                int(number): frames_of_part[self.block[frames_of_part] == number]
+                for number in np.unique(self.block[frames_of_part])
+            }
+            normals = {
+                number: _normal_of_lines(left[rows], share[rows], self.residual[rows])
+                for number, rows in blocks.items()
+            }
             of_all = sum(normals.values(), np.zeros((_PLACES, 2 + self.coordinates)))
-            for number, of in blocks.items():
+            for number, rows in blocks.items():
                 others = of_all - normals[number]
                 bands = np.stack([np.append(0.0, others[:-1, 1]), others[:, 0] + ridge])
                 curve = solveh_banded(bands, others[:, 2:])
-                told[of] = (1.0 - share[of, None]) * curve[left[of]] + share[of, None] * curve[left[of] + 1]
-        return told
+                result[rows] = (1.0 - share[rows, None]) * curve[left[rows]] + share[rows, None] * curve[left[rows] + 1]
+        return result
 
     def jitter(self, seconds: float) -> Array:
-        """(n,) Log-density if frame times scatter by this standard deviation: the variance along the image's motion is
-        floor^2 + (seconds speed)^2, across it floor^2."""
+        """(n,) Log-density if frame times scatter with a standard deviation of `seconds`: the variance of the residual
+        is floor^2 + (seconds speed)^2 along the image's motion, and floor^2 across it."""
         along, across2 = self._by_velocity
         variance = self._floor2 + (seconds * self.speed) ** 2
-        return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+        return _gaussian_along_log_density(along, across2, variance, self._floor2, self.coordinates)
 
     def waiting(self, seconds: float) -> Array:
-        """(n,) As `jitter`, of frames that wait for something: exponentially distributed, the median in the delay. They
-        lag along the motion, a Gaussian on top of an exponential of the scale seconds speed."""
+        """(n,) Log-density if frames wait for a time that is exponentially distributed with the scale `seconds`, its
+        median being part of the delay. Residuals lag along the motion: a Gaussian plus an exponential number of the
+        scale seconds speed."""
         along, across2 = self._by_median_wait
-        return _lagging(along, across2, seconds * self.speed, self._floor2, self.coordinates)
+        return _lagging_log_density(along, across2, seconds * self.speed, self._floor2, self.coordinates)
 
     def stamped(self, seconds: float) -> Array:
-        """(n,) As `jitter`, of frames taken at even times: they lag along the motion by what their times of arrival say
-        that they waited, the median in the delay."""
+        """(n,) As `jitter`, for frames that were taken at even times: by their times of arrival each has waited some
+        time (`waits_s`), by which it lags along the motion; the median wait is part of the delay."""
         along, across2 = self._by_stamped_wait
         variance = self._floor2 + (seconds * self.speed) ** 2
-        return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+        return _gaussian_along_log_density(along, across2, variance, self._floor2, self.coordinates)
 
     def behind(self, length: float) -> Array:
-        """(n,) Log-density of a misfit by a length, whatever the speed: exponentially distributed with the median in
-        the fit, behind the prediction while the motor drives or, with a negative one, ahead. length: of the play's
-        centre, unit of q."""
+        """(n,) Log-density of a tip that is behind the prediction by a length while the motor drives, whatever the
+        speed, or ahead of it if `length` is negative. The length is exponentially distributed with the scale |length|,
+        unit of q (of the play's centre), and its median is part of the fit."""
         along, across2, per_unit = self._by_median_length
-        return _lagging(np.sign(length) * along, across2, abs(length) * per_unit, self._floor2, self.coordinates)
+        return _lagging_log_density(
+            np.sign(length) * along, across2, abs(length) * per_unit, self._floor2, self.coordinates
+        )
 
     @cached_property
     def _by_median_wait(self) -> tuple[Array, Array]:
-        """(n,) twice: the residual along the image's motion, shifted in proportion to the speed so that the median
-        frame of its recording is timely (`_median_part`), and the square of the residual across it."""
+        """((n,) residual along the image's motion, (n,) square of the residual across it). The former is shifted in
+        proportion to the speed, so that the median frame of its recording is on time (`_median_part`)."""
         along, across2 = _along_and_across2(self.as_it_is, self._velocity)
         return along - self._median_part(along, self.speed), across2
 
     @property
     def waits_deviation_s(self) -> float:
-        """Standard deviation, s, of how long frames waited by their times of arrival."""
+        """Standard deviation, s, of the times that the frames waited, as their times of arrival tell (`waits_s`)."""
         return float(np.std(self._waited_s))
 
     @cached_property
     def _by_stamped_wait(self) -> tuple[Array, Array]:
-        """As `_by_median_wait`, of residuals less the way that the image goes while a frame waits (`waits_s`)."""
+        """As `_by_median_wait`, with the image's way during each frame's wait (`waits_s`) taken off the residual
+        first."""
         along, across2 = self._by_median_wait
         along = along + self.speed * self._waited_s
         return along - self._median_part(along, self.speed), across2
 
     @cached_property
     def _by_median_length(self) -> tuple[Array, Array, Array]:
-        """(n,) three times: the residual along the image's motion with the play's centre, shifted by a length so that
-        the median frame of its recording is where the fit has it (`_median_part`), the square of the residual across
-        it, and the image's motion per unit of the centre, 0 at rest."""
+        """((n,) residual along the image's motion, (n,) square of the residual across it, (n,) image motion per unit of
+        the play's centre, 0 at rest). The first is shifted by a constant length of the play's centre, so that the
+        median frame of its recording is where the fit has it (`_median_part`)."""
         along, across2 = _along_and_across2(self.as_it_is, self._per_unit)
         per_unit = np.sqrt(self._per_unit2) * self._moving
         return along - self._median_part(along, per_unit), across2, per_unit
 
     def _median_part(self, along: Array, scale: Array) -> Array:
-        """(n,) `scale` times the median of along / scale, (n,) both, in each recording: of the faster half of the
-        frames that move, as in the others noise is most of that ratio."""
+        """(n,) `scale` times the median of the ratio along / scale in each recording; along, scale: (n,). The median is
+        over the faster half of the moving frames, as in the others noise dominates that ratio; 0 where none moves."""
         part = np.zeros(len(along))
         for number in np.unique(self._recording):
-            of = self._recording == number
-            fast = of & (scale > 0.0)
+            in_recording = self._recording == number
+            fast = in_recording & (scale > 0.0)
             fast &= scale >= np.median(scale[fast]) if fast.any() else False
-            part[of] = scale[of] * (float(np.median(along[fast] / scale[fast])) if fast.any() else 0.0)
+            part[in_recording] = scale[in_recording] * (
+                float(np.median(along[fast] / scale[fast])) if fast.any() else 0.0
+            )
         return part
 
     def blur(self, seconds: float) -> Array:
-        """(n,) Log-density of noise whose variance is floor^2 + (seconds speed)^2, along the motion and across it."""
+        """(n,) Log-density of isotropic noise with the variance floor^2 + (seconds speed)^2 of a coordinate."""
         squares = np.sum(self.residual**2, axis=1)
-        return _isotropic(squares, self._floor2 + (seconds * self.speed) ** 2, self.coordinates)
+        return _isotropic_log_density(squares, self._floor2 + (seconds * self.speed) ** 2, self.coordinates)
 
     def stick(self, jump: float) -> Array:
-        """(n,) Log-density of a tip that stays at the position of the frame before with a probability 1 - driven /
-        jump, and else is anywhere within a jump of the prediction, along its path. jump: of the play's centre, unit of
-        q."""
+        """(n,) Log-density of a tip that with probability 1 - driven / jump stays where it was at the frame before, and
+        else lies anywhere within a jump of the prediction, along its path. jump: in the play's centre, unit of q. The
+        probability is kept within _LEAST and _MOST."""
         stays = np.where(self.driven > 0.0, np.clip(1.0 - self.driven / jump, _LEAST, _MOST), _MOST)
         variance = self._floor2 + self._per_unit2 * jump**2 / 12.0  # equation: of a uniform density
         along, across2 = self._by_direction
-        within_jump = _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+        within_jump = _gaussian_along_log_density(along, across2, variance, self._floor2, self.coordinates)
         return np.asarray(np.logaddexp(np.log(stays) + self._repeated, np.log1p(-stays) + within_jump))
 
     def repeats(self, share: float) -> Array:
-        """(n,) Log-density of a link that shows this share of the frames a second time in place of the next one; a
-        frame has the variance of two frames' noise about the one that it repeats. Most are fresh, as their median."""
+        """(n,) Log-density of a link that shows the frame before again in place of this share of the frames; such a
+        frame differs from the one before by the noise of two frames. The others have Gaussian noise about the
+        prediction, shifted so that the median frame is on time."""
         along, across2 = self._by_median_wait
-        fresh = _isotropic(along**2 + across2, self._floor2, self.coordinates)
+        fresh = _isotropic_log_density(along**2 + across2, self._floor2, self.coordinates)
         return np.asarray(np.logaddexp(np.log(share) + self._repeated, np.log1p(-share) + fresh))
 
 
-def _lines_normal(left: npt.NDArray[np.int64], share: Array, y: Array) -> Array:
-    """(_PLACES, 2 + k) Normal equations of straight lines between _PLACES values: the matrix' diagonal, what is beside
-    it (0 in the last row), and the right-hand sides. left, share (n,): of each row of y (n, k) the place before it, and
-    how far it is to the next one."""
+def _normal_of_lines(left: npt.NDArray[np.int64], share: Array, y: Array) -> Array:
+    """(_PLACES, 2 + k) Normal equations of values at _PLACES places with straight lines between them: the matrix'
+    diagonal, its next diagonal (0 in the last row), and k right-hand sides. For each row of y (n, k), left (n,) is the
+    place before it, and share (n,), 0 to 1, how far it is from there to the next one."""
     near, far, n = 1.0 - share, share, _PLACES
     columns = [
         np.bincount(left, near**2, n) + np.bincount(left + 1, far**2, n),
@@ -388,25 +411,26 @@ def _lines_normal(left: npt.NDArray[np.int64], share: Array, y: Array) -> Array:
     return np.column_stack(columns)
 
 
-def _isotropic(squares: Array, variance: Array | float, k: int) -> Array:
-    """(n,) -(k log(variance) + squares / variance) / 2: log-density of an isotropic Gaussian in k coordinates, up to a
-    constant. squares: (n,) of the distance from its centre; variance: of a coordinate, one or (n,)."""
+def _isotropic_log_density(squares: Array, variance: Array | float, k: int) -> Array:
+    """(n,) Log-density of an isotropic Gaussian in k coordinates, up to a constant: -(k log(variance) + squares /
+    variance) / 2. squares: (n,) squared distances from its centre; variance: of a coordinate, one number or (n,)."""
     return np.asarray(-0.5 * (k * np.log(variance) + squares / variance))
 
 
-def _gaussian_along(along: Array, across2: Array, variance: Array, across_variance: float, k: int) -> Array:
-    """(n,) Log-density of a Gaussian in k coordinates, up to a constant, with `variance` (n,) along the motion and
-    across_variance across it. along (n,): distance along; across2 (n,): squared distance across."""
+def _gaussian_along_log_density(along: Array, across2: Array, variance: Array, across_variance: float, k: int) -> Array:
+    """(n,) Log-density of a Gaussian in k coordinates, up to a constant, whose variance is `variance` (n,) along the
+    motion and across_variance in each direction across it. along (n,): distance along; across2 (n,): squared distance
+    across, which counts for k > 1."""
     value: Array = -0.5 * (np.log(variance) + along**2 / variance)
     if k > 1:
         value = value - 0.5 * (np.log(across_variance) + across2 / across_variance)
     return value
 
 
-def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int) -> Array:
-    """(n,) Log-density in k coordinates, up to a constant, of a distance behind the prediction that is exponential with
-    this scale (n,) about its median, plus Gaussian noise of `variance` of a coordinate: an exponentially modified
-    Gaussian, in units of the noise. along, across2: as in `_gaussian_along`."""
+def _lagging_log_density(along: Array, across2: Array, scale: Array, variance: float, k: int) -> Array:
+    """(n,) Log-density in k coordinates, up to a constant, of a distance behind the prediction that is exponentially
+    distributed with this scale (n,) about its median, plus Gaussian noise of `variance` in each coordinate: along the
+    motion an exponentially modified Gaussian. along, across2: as in `_gaussian_along_log_density`."""
     noise = np.sqrt(variance)
     rate = noise / np.maximum(scale, _LEAST * noise)
     lag = np.log(2.0) / rate - along / noise  # above the least one, in the noise
@@ -417,8 +441,8 @@ def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int
 
 
 def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
-    """(The component (n,) of r (n, k) along a direction (n, k) of any length, the square (n,) of what is across it). At
-    rest any direction is along: nothing of r is lost."""
+    """(Component (n,) of r (n, k) along `direction` (n, k), which may have any length; square (n,) of the rest of r).
+    Where the direction is 0, at rest, the first coordinate counts as along, so that nothing of r is lost."""
     length = np.linalg.norm(direction, axis=1)[:, None]
     unit = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), np.eye(1, r.shape[1]))
     along = np.sum(r * unit, axis=1)
@@ -426,15 +450,15 @@ def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
 
 
 def _fitted_lag(r: Array, per_unit: Array) -> Array:
-    """(n, k) The part of a recording's residual r (n, k) that a constant lag of the play's centre explains. per_unit
-    (n, k): image motion per unit of the centre."""
+    """(n, k) The part of one recording's residual r (n, k) that a constant lag of the play's centre explains, by least
+    squares. per_unit (n, k): image motion per unit of the centre."""
     length = float(np.sum(r * per_unit)) / max(float(np.sum(per_unit**2)), 1e-12)
     return length * per_unit
 
 
 def _pixel_phase_part(r: Array, image: Array) -> Array:
-    """(n, k) The part of the residual r (n, k), px, that the position within a pixel explains: the first two harmonics
-    of each image coordinate (n, k)."""
+    """(n, k) The part of the residual r (n, k), px, that depends on the position within a pixel: the first two
+    harmonics of each image coordinate, image (n, k) px, fitted by least squares."""
     explained = np.empty_like(r)
     for i, (residual, x) in enumerate(zip(r.T, image.T, strict=True)):
         phase = 2.0 * np.pi * x

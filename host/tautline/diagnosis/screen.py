@@ -40,7 +40,7 @@ _STEEPEST = 0.1  # limit: least dq/dp that an encoder's error is divided by
 
 @dataclass(frozen=True)
 class Screened:
-    """An effect's linear score, and values from which to fit it in full."""
+    """The linear score of an effect in one scope, and values from which to start a full fit of it."""
 
     gain: float  # share of the residual's sum of squares that the effect would explain
     kind: Kind
@@ -53,9 +53,10 @@ class Screened:
 def screen(
     fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float], scopes: Sequence[Scope] = tuple(Scope)
 ) -> list[Screened]:
-    """Effects by their linear score on top of `base`, the largest first, in each of these scopes. limits: of each
-    recording, px or deg, to which residuals are cut. Effects that the fit's unknowns absorb are left out. Fewer
-    observations tell this (`Fitter.coarse`), but for a moment, which is then found to a frame among all."""
+    """Scores effects by one linear step on top of the fit `base`, in each of these scopes; the largest score first.
+    Effects that `base` has already, or that its unknowns absorb, are left out. The coarse observations
+    (`Fitter.coarse`) are used, except that a moment is then searched to a frame among all. limits: of each recording,
+    px or deg, to which residuals are cut."""
     scan = _Scan(fitter.coarse, base, limits, scopes)
     fine: _Scan | None = None  # of all observations
     screened: list[Screened] = []
@@ -75,7 +76,8 @@ def screen(
 
 
 def _best_of_each_scope(entries: Iterable[Screened]) -> list[Screened]:
-    """Of one effect the entry with the largest score in each scope; the next best in it are its further starts."""
+    """From the entries of one effect the one with the largest score in each scope; the next _OTHERS best of that scope
+    become its further starts (`others`)."""
     ranked = sorted(entries, key=lambda entry: -entry.gain)
     found = []
     for scope in (Scope.TESTS, Scope.EACH, Scope.START):
@@ -86,10 +88,11 @@ def _best_of_each_scope(entries: Iterable[Screened]) -> list[Screened]:
 
 
 class _Scan:
-    """The normal equations of a fit, on top of which effects' columns are scored."""
+    """The normal equations of a fit, on top of which the columns of effects are scored."""
 
     def __init__(self, fitter: Fitter, base: Fit, limits: Sequence[float], scopes: Sequence[Scope]) -> None:
-        """base: the fit; its residuals are cut to `limits`, px or deg, of each recording."""
+        """Linearises the fit `base` for all recordings. limits: of each recording, px or deg, to which residuals are
+        cut. scopes: since when an effect may be there."""
         self.fitter, self.base, self.scopes = fitter, base, scopes
         plain = fitter.rows(base.state, base.hypothesis)
         effect_columns = fitter.effect_columns(base.state, base.hypothesis, plain)
@@ -112,19 +115,20 @@ class _Scan:
         self.squares = sum(float(np.sum(row.residual**2)) for row in self.rows) - float(self.gradient @ self.absorbed)
 
     def scores(self, kind: Kind) -> list[Screened]:
-        """Linear scores of one effect, for every combination of starting shapes, of sign and of scope."""
+        """Linear scores of an effect that has no moments, one for every combination of its starting shapes, the sign of
+        its amplitudes, and its scope."""
         if kind.scan == "period":
             return self._encoder_scores(kind)
         signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
         return [
             entry
             for shapes, sign in itertools.product(_starting_shapes(self.fitter, self.base, kind), signs)
-            for entry in self._score(kind, shapes, self._columns(kind, shapes, sign), sign)
+            for entry in self._scores_by_scope(kind, shapes, self._amplitude_columns(kind, shapes, sign), sign)
         ]
 
-    def _columns(self, kind: Kind, shapes: Mapping[str, float], sign: float) -> list[Array]:
-        """The effect's columns (scored, k, amplitudes) for each recording, as if it were in all recordings, by
-        simulating a small amplitude of this sign with these shapes."""
+    def _amplitude_columns(self, kind: Kind, shapes: Mapping[str, float], sign: float) -> list[Array]:
+        """(scored, k, amplitudes) for each recording: d prediction / d amplitude with these shapes, as if the effect
+        were there in all recordings, by simulating a small amplitude of this sign."""
         fitter, base = self.fitter, self.base
         hypothesis = base.hypothesis.plus(kind, Scope.START)
         per_segment = [np.empty((*residual.shape, len(kind.amplitudes))) for residual in self.residuals]
@@ -139,15 +143,16 @@ class _Scan:
     def _with_small_amplitude(
         self, kind: Kind, parameter: Parameter, shapes: Mapping[str, float], sign: float
     ) -> tuple[ParameterState, float]:
-        """Returns the base's parameters with these `shapes`, one amplitude of the effect (`parameter`) set to a small
-        step of this sign and its others to 0; and that step, in the parameter's unit."""
+        """(The base's parameters with these shapes, the amplitude `parameter` of the effect at a small step of this
+        sign and its other amplitudes at 0; that step, in the parameter's unit)."""
         step = sign * parameter.probe * self.fitter.scale(parameter)
         others = {p.name: 0.0 for p in kind.amplitudes}
         values = {**self.base.state.values, **shapes, **others, parameter.name: step}
         return replace(self.base.state, values=values), step
 
     def ask(self, kind: Kind) -> None:
-        """Announces to a user's simulator the runs that the columns of one of its own parameters need."""
+        """Announces to a user's simulator the runs that `_amplitude_columns` will need, if the effect is one of the
+        simulator's own parameters; does nothing for other effects."""
         if kind.stage == SIMULATOR:
             hypothesis = self.base.hypothesis.plus(kind, Scope.START)
             for parameter in kind.amplitudes:
@@ -155,10 +160,13 @@ class _Scan:
                 for segment in self.fitter.segments:
                     segment.ask(state.at(segment, hypothesis))
 
-    def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
-        """Linear scores of an effect with these shapes and columns (of each recording, the calibration first): one
-        Screened for each scope in which the effect may be there. sign: that of the amplitudes that the columns were
-        simulated with; the gain is 0 where a linear step cannot be right for it (`_start_value`)."""
+    def _scores_by_scope(
+        self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float
+    ) -> list[Screened]:
+        """Linear scores of an effect with these shapes: one entry for each scope in which it may be there and is not
+        absorbed. columns: d prediction / d amplitude, (scored, k, amplitudes) of each recording, the calibration first;
+        sign: that of the amplitudes with which these were simulated. The score is 0 where a linear step cannot be right
+        for a one-way amplitude or leaves the range (`_start_value`)."""
         parts = [
             self.fitter.normal(row, extra, known=known)
             for row, extra, known in zip(self.rows, columns, self.known, strict=True)
@@ -166,9 +174,9 @@ class _Scan:
         tests = len(parts) - 1
         scored = []
         for scope in self.scopes:
-            if not self._may_be(kind, scope, tests):
+            if not self._may_be_since(kind, scope, tests):
                 continue
-            present = self._present_in(scope, parts, len(kind.amplitudes))
+            present = self._normals_where_present(scope, parts, len(kind.amplitudes))
             amplitudes, gain = self.gain(present, self._prior_precision(kind, tests if scope == Scope.EACH else 1))
             if amplitudes is None:
                 continue
@@ -176,10 +184,10 @@ class _Scan:
             scored.append(Screened(gain if possible else 0.0, kind, scope, {**shapes, **start}))
         return scored
 
-    def _present_in(self, scope: Scope, parts: Sequence[Normal], count: int) -> Sequence[Normal]:
-        """The normal equations of the recordings that an effect in this scope is in, of `parts`, those of all
-        recordings with the effect's columns, the calibration first. START: of all; TESTS: of all after the calibration;
-        EACH: the same, with `count` amplitudes of its own for each test."""
+    def _normals_where_present(self, scope: Scope, parts: Sequence[Normal], count: int) -> Sequence[Normal]:
+        """The normal equations of those recordings in which an effect of this scope is there. START: of all; TESTS: of
+        all after the calibration; EACH: the same, with `count` amplitudes of its own for each test. parts: normal
+        equations of all recordings with the effect's columns, the calibration first."""
         if scope == Scope.START:
             return parts
         tests = parts[1:]
@@ -188,17 +196,18 @@ class _Scan:
         return [self._normal_by_recording(part, i, len(tests), count) for i, part in enumerate(tests)]
 
     def _prior_precision(self, kind: Kind, times: int) -> Array | float:
-        """(k, k) Prior precision of an effect's amplitudes, in the unit of the normal equations, which are not over the
-        noise; 0 for an effect that is no curve. times: how often the amplitudes are there, one set after the other."""
+        """(k, k) Prior precision of the amplitudes of an effect that is a curve; 0 for other effects. It is multiplied
+        by the noise power, as the normal equations are not divided by it. times: number of recordings that have
+        amplitudes of their own, one block of the matrix each."""
         if not kind.curve:
             return 0.0
         precision = self.fitter.floor**2 * self.fitter.curve_precision(Hypothesis((kind,), (Scope.START,)))
         return np.asarray(block_diag(*[precision] * times))
 
     def _start_values(self, kind: Kind, scope: Scope, amplitudes: Array, sign: float) -> tuple[dict[str, float], bool]:
-        """(From where to fit each amplitude of an effect, by Slot.key; whether all linear steps may be right, as
-        `_start_value` says). amplitudes: the linear steps (k,), those of EACH of the first test, then of the second,
-        and so on; sign: that of the amplitudes that the columns were simulated with."""
+        """(Start of each amplitude of an effect, by Slot.key; whether all linear steps can be right, as `_start_value`
+        says). amplitudes: the linear steps (k,), for EACH those of the first test, then of the second, and so on; sign:
+        that of the amplitudes with which the columns were simulated."""
         start, all_possible = {}, True
         count = len(kind.amplitudes)
         for i, amplitude in enumerate(amplitudes):
@@ -212,25 +221,26 @@ class _Scan:
         return start, all_possible
 
     def _start_value(self, parameter: Parameter, amplitude: float, sign: float) -> tuple[float, bool]:
-        """(Where a fit of this amplitude starts, whether its linear step `amplitude` may be right): the step within the
-        parameter's range and _FARTHEST scales. It cannot be right where that is 0, or where a one-way amplitude was
-        simulated on the other side of 0 (`sign`); a fit starts a little on that side then."""
+        """(Start of this amplitude, whether its linear step `amplitude` can be right). The start is the step, clipped
+        to the parameter's range and to _FARTHEST scales. The step cannot be right if that is 0, or if a one-way
+        amplitude was simulated with the other `sign`; the start is then a little way from 0, _OTHER_WAY scales, on the
+        side of `sign`."""
         scale = self.fitter.scale(parameter)
         value = self.fitter.clipped(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
         if value == 0.0 or (parameter.one_way and value * sign < 0.0):
             return _OTHER_WAY * sign * scale, False
         return value, True
 
-    def _may_be(self, kind: Kind, scope: Scope, tests: int) -> bool:
-        """Whether an effect may be there since `scope`: a part of the nominal model is not an effect from the start,
-        nor is any where a simulator was calibrated; few may differ between several tests. tests: their number."""
+    def _may_be_since(self, kind: Kind, scope: Scope, tests: int) -> bool:
+        """Whether an effect may be there since `scope`. START excludes parts of the nominal model, and all effects
+        where a simulator was calibrated; EACH needs `Kind.each` and several tests. tests: their number."""
         if scope == Scope.START:
             return not kind.nominal and self.fitter.effects_from_start
         return scope != Scope.EACH or (kind.each and tests > 1)
 
     def _normal_by_recording(self, part: Normal, test: int, tests: int, count: int) -> Normal:
-        """The normal equations `part` of one test where each test has amplitudes of its own. test: its index; tests:
-        how many there are; count: the number of amplitudes of each."""
+        """The normal equations `part` of one test, enlarged so that each test has amplitudes of its own; those of the
+        other tests get zeros. test: its index; tests: their number; count: the number of amplitudes of each."""
         shared = len(self.gradient)
         size = shared + tests * count
         index = np.concatenate([np.arange(shared), shared + test * count + np.arange(count)])
@@ -240,9 +250,10 @@ class _Scan:
         return normal
 
     def gain(self, parts: Sequence[Normal], prior: Array | float = 0.0) -> tuple[Array | None, float]:
-        """(Best amplitudes, share of the residual's sum of squares that they explain), once the fit's unknowns have
-        absorbed what they can: as `gains` of one effect. parts: normal equations of the recordings with the effect, its
-        amplitudes last; prior: precision matrix of the amplitudes. (None, 0) where the fit's unknowns absorb it."""
+        """(Best amplitudes (k,), share of the residual's sum of squares that they explain) of one effect, after the
+        fit's unknowns have absorbed what they can; computed as in `gains`. (None, 0) where these absorb the effect.
+        parts: normal equations of the recordings with the effect, its amplitudes last; prior: precision of the
+        amplitudes."""
         m = len(self.gradient)
         cross = np.asarray(sum(part.matrix[m:, :m] for part in parts))
         of_effect = np.asarray(sum(part.matrix[m:, m:] for part in parts))
@@ -253,11 +264,11 @@ class _Scan:
 
     def gains(self, of_effect: Array, taken: Array, gradient: Array, prior: Array | float = 0.0) -> tuple[Array, Array]:
         """((n, k) best amplitudes, (n,) share of the residual's sum of squares that they explain) of n effects, each
-        alone: a = (G - X'N^-1 X + prior)^+ g, share a'g / sum of squares. The pseudo-inverse is taken after columns are
-        scaled to unit norm, without directions whose eigenvalue is then below _RANK. The share is -1 where the fit's
-        unknowns absorb an effect: where they leave at most _FREE of the norm of each of its columns. of_effect: G of
-        its columns, (n, k, k); taken: X'N^-1 X, what these unknowns take of it, (n, k, k); gradient: g once they have
-        taken theirs, (n, k); prior: precision of the amplitudes, (k, k), or one number for all of its elements."""
+        alone: a = (G - X'N^-1 X + prior)^+ g, share = a'g / sum of squares. The share is -1 where the fit's unknowns
+        absorb an effect: they leave at most _FREE of the norm of each of its columns. For the pseudo-inverse columns
+        are scaled to unit norm, and eigenvalues below _RANK are dropped, as amplitudes with the same effect cannot be
+        told apart. of_effect: G, (n, k, k); taken: X'N^-1 X, (n, k, k); gradient: g after these unknowns have taken
+        theirs, (n, k); prior: precision of the amplitudes, (k, k), or one number for all elements."""
         k = of_effect.shape[1]
         diagonal = np.arange(k)
         free, size = of_effect - taken, of_effect[:, diagonal, diagonal]  # size: squared norms of the columns
@@ -274,9 +285,9 @@ class _Scan:
     # ---- shapes that are scanned densely
 
     def _encoder_scores(self, kind: Kind) -> list[Screened]:
-        """Scores of a periodic encoder error (two harmonics), over a grid of periods. An error d of the motor's
-        position moves the play's centre by d(q) / (1 + side B'/2), q the motor position at which the tip was last
-        carried."""
+        """Scores of a periodic encoder error with two harmonics, over a grid of periods. To first order an error d of
+        the motor's position moves the play's centre by d(q) / (1 + side B'/2). q is the motor position at which the tip
+        was last carried, p + side B/2, and side the envelope that carried it, +1 or -1."""
         fitter, model = self.fitter, self.base.state.model
         slope_f, slope_b = (np.gradient(values, model.q) for values in (model.c_deg, model.width))
         low, high = (shape * fitter.model.rig.actuator.span for shape in kind.shapes[0].shape)
@@ -295,19 +306,20 @@ class _Scan:
                 phase = 2 * np.pi * rate * q
                 waves = [np.sin(phase), np.cos(phase), np.sin(2 * phase), np.cos(2 * phase)]
                 columns.append(slope[:, :, None] * np.stack(waves, axis=1)[:, None, :])
-            scored += self._score(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
+            scored += self._scores_by_scope(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
         return scored
 
     def moments(self, kind: Kind, near: Sequence[float] = ()) -> list[Screened]:
-        """Scores of an effect that happens at moments (shift, slip): with one moment, then each with one more beside
-        those before. near: rough moments, s of scene time on the session's clock, near which every frame is tried;
-        without, a grid of _SHIFT_STEP_S over the session."""
+        """Scores of an effect that happens at moments (shift, slip): with one moment, with two, and so on, each time
+        the best further moment beside those found before. It ends where the fit's unknowns absorb the effect; [] for
+        recordings of a few seconds. near: rough moments, s of scene time on the session's clock, near which every frame
+        is tried; without them a grid of _SHIFT_STEP_S over the session is."""
         sensor = self.fitter.segments[0].sensor
         delay = self.base.state.model.delay_of(sensor) + self.base.state.values.get("delay", 0.0)
         edges, windows = self._candidate_times([moment + delay for moment in near])
         if not len(edges):  # of recordings of a few seconds
             return []
-        from_edges = _FromEdges(self, self._columns_if_always(kind), edges)
+        from_edges = _HeldFromEdges(self, self._columns_if_always(kind), edges)
         chosen: list[int] = []
         found: list[Screened] = []
         for form, window in zip((kind.happening(n + 1) for n in range(len(kind.moments))), windows, strict=False):
@@ -327,8 +339,9 @@ class _Scan:
         return found
 
     def _candidate_times(self, near: Sequence[float]) -> tuple[Array, Iterable[Sequence[int]]]:
-        """(Arrival times, s of the session, rising, from which an effect may hold; for each of its moments the indices
-        of those to try). near: rough arrival times of its moments; without, a grid over the session."""
+        """(Arrival times, s of the session, rising, from which on an effect may hold; for each of its moments the
+        indices of the times to try). Times within _WITHIN_S of a recording's ends are left out. near: rough arrival
+        times of the moments; without them the times are a grid over the session."""
         times = [t for s in self.fitter.segments if len(t := s.session_s[s.scored])]
         ends = [t[[0, -1]] for t in times]
         if not near:
@@ -336,27 +349,27 @@ class _Scan:
         else:
             width = _NEAR_STEPS * _SHIFT_STEP_S
             close = [np.any([np.abs(t - rough) <= width for rough in near], axis=0) for t in times]
-            edges = np.unique(np.concatenate([t[here] for t, here in zip(times, close, strict=True)]))
+            edges = np.unique(np.concatenate([t[is_close] for t, is_close in zip(times, close, strict=True)]))
         edges = np.array([e for e in edges if any(a + _WITHIN_S <= e <= b - _WITHIN_S for a, b in ends)])
         if not near:
             return edges, itertools.repeat(range(len(edges)))
         return edges, [np.flatnonzero(np.abs(edges - rough) <= _NEAR_STEPS * _SHIFT_STEP_S).tolist() for rough in near]
 
     def _columns_if_always(self, kind: Kind) -> list[Array]:
-        """The columns (scored, k, amplitudes of one moment) for each recording of an effect that happens at moments, as
-        if it had happened before the first frame."""
+        """(scored, k, amplitudes of one moment) for each recording: the columns of an effect that happens at moments,
+        as if it had happened before the first frame."""
         once = kind.happening(1)
         if not any(moves_tip(p) for p in once.amplitudes):
             return [row.columns[:, :, STATIC_COLUMNS] for row in self.rows]
-        return self._columns(once, dict.fromkeys(once.moments, -np.inf), 1.0)
+        return self._amplitude_columns(once, dict.fromkeys(once.moments, -np.inf), 1.0)
 
 
-class _FromEdges:
-    """Normal equations of columns that are 0 before some time and hold from then on, for each of many times (edges), by
-    sums from the last edge back to the first."""
+class _HeldFromEdges:
+    """Normal equations of columns that are 0 before some time (edge) and hold from it on, for each of many edges. Sums
+    over frames are accumulated from the last edge back to the first."""
 
     def __init__(self, scan: _Scan, columns: Sequence[Array], edges: Array) -> None:
-        """For each edge the sum over all frames from it to the session's end. columns: (scored, k, count) of each
+        """Sums up, for each edge, over all frames from it to the session's end. columns: (scored, k, count) of each
         recording, as if they held from the first frame on; edges: rising arrival times, s of the session."""
         self.shared, self.count = len(scan.gradient), columns[0].shape[2]
         zero, total = Normal.zeros(self.shared), Normal.zeros(self.shared + self.count)
@@ -382,10 +395,12 @@ class _FromEdges:
         self._absorbing = absorbing.reshape(self.shared, -1, self.count).transpose(1, 0, 2)
 
     def gains(self, chosen: Sequence[int], tried: Sequence[int]) -> tuple[Array, Array]:
-        """((tried, amplitudes), (tried,)) as `_Scan.gains`, with the columns from each of the edges `chosen` and one of
-        `tried` (indices) on as unknowns of their own: two edges have the frames after the later one in common."""
+        """((tried, amplitudes), (tried,)) as `_Scan.gains`, for each edge in `tried` together with all edges in
+        `chosen` (indices); the columns from each of these edges on are unknowns of their own. Two edges have in common
+        the frames after the later one."""
         edges = np.array([[*chosen, i] for i in tried])
         n, k = edges.shape
+        # (n, k, k): two columns overlap from the later of their edges on, whose sum is their product.
         later = np.maximum(edges[:, :, None], edges[:, None, :])
         of_effect = self._of_effect[later].transpose(0, 1, 3, 2, 4).reshape(n, k * self.count, k * self.count)
         cross = self._cross[edges].reshape(n, k * self.count, self.shared)
@@ -405,10 +420,12 @@ def _slice_of_rows(row: ScoredRows, part: slice) -> ScoredRows:
 
 
 def _starting_shapes(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float]]:
-    """All combinations of starting values of the effect's shape parameters, by name, in their own units."""
+    """All combinations of the starting values of the effect's shapes, each as {name: value in the parameter's own
+    unit}."""
 
     def values(parameter: Parameter) -> list[float]:
-        """Starting values of one shape parameter: quantiles of the reached angles, or the effect's own list."""
+        """Starting values of one shape: quantiles of the angles that the recordings reach, deg, if it is such an angle
+        (`Parameter.reached`), else the parameter's own list."""
         if parameter.reached:
             c = np.concatenate([s.follow(base.state.model, {}, 0.0).c_deg for s in fitter.segments])
             return [float(v) for v in np.quantile(c, _ANGLES)]

@@ -47,36 +47,38 @@ class Segment:
 
     @property
     def held(self) -> npt.NDArray[np.bool_]:
-        """(n,) Which observations are not scored only because they repeat the one before to the last digit."""
+        """(n,) Which observations would be scored if they did not repeat the one before to the last digit; all False
+        where this is not known."""
         return np.zeros_like(self.scored) if self.repeats is None else self.repeats
 
     @property
     def end_s(self) -> float:
-        """When the recording ends, s on the session's clock."""
+        """The time at which the recording ends, s on the session's clock."""
         return float(self.motor.t_s[-1]) + self.offset_s
 
     @property
     def unit(self) -> str:
-        """Of the observations: "px" or "deg"."""
+        """The unit of the observations, "px" or "deg"."""
         return "px" if self.observed.shape[1] == 2 else "deg"
 
     @property
     def sensor(self) -> Sensor:
-        """What observed it: the marker's camera or an angle sensor."""
+        """The sensor that made the observations: MARKER (a camera) or ANGLE."""
         return MARKER if self.unit == "px" else ANGLE
 
     def with_repeats(self) -> Segment:
-        """The same recording as it is to whoever knows nothing of links that send a sample twice."""
+        """The same recording with repeated samples scored like all others, as if nothing were known of them."""
         return replace(self, scored=self.scored | self.held, repeats=None)
 
     @property
     def session_s(self) -> Array:
-        """(n,) When each observation arrived, s on the session's clock."""
+        """(n,) Arrival time of each observation, s on the session's clock."""
         return np.asarray(self.arrival_s + self.offset_s)
 
     def scene_s(self, model: Model, parameters: Mapping[str, Any]) -> Array:
-        """(n,) When what each observation shows was so, s on the session's clock: its arrival less the sensor's delay,
-        an effect's with it. parameters: as for `follow`; that clocks run at other rates is not in it."""
+        """(n,) Time at which each observation's scene was as it shows, s on the session's clock: its arrival less the
+        sensor's delay and the effect "delay". An effect on the clock's rate is not taken off. parameters: as for
+        `follow`."""
         return np.asarray(self.session_s - (model.delay_of(self.sensor) + parameters.get("delay", 0.0)))
 
     def ask(self, parameters: Mapping[str, Any]) -> None:
@@ -86,8 +88,8 @@ class Segment:
             self.drive.ask(parameters)
 
     def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
-        """The simulated path of the tip at the observations' scene times (arrival less the sensor's delay). parameters:
-        of the effects, by name; those of a user's simulator as changes from its nominal values. load_reference: mNm at
+        """Simulates the path of the tip at the observations' scene times (arrival less the sensor's delay). parameters:
+        of the effects, by name; those of a user's simulator are changes from its nominal values. load_reference: mNm at
         which the model's tables hold."""
         scene = self.arrival_s - model.delay_of(self.sensor)
         motor = self.motor if self.drive is None else self.drive.motor(parameters)
@@ -96,17 +98,18 @@ class Segment:
         )
 
     def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
-        """(n, k) What the sensor would show of this path with these effects' parameters: px with a marker, else deg."""
+        """(n, k) What the sensor would show of this path, with these effects' parameters: px for a marker, else deg."""
         return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]
 
     def predict(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> tuple[Path, Array]:
-        """(The simulated path, the predicted observations (n, k)); parameters as for `follow`."""
+        """(The simulated path, the predicted observations (n, k)); arguments as for `follow`."""
         path = self.follow(model, parameters, load_reference)
         return path, self.seen(model, parameters, path)
 
     def coarse(self, stride: int, noise: float) -> Segment:
-        """The same recording with every `stride`-th observation, and its motor by straight lines that are off by less
-        than is seen. noise: one standard deviation of an observation, px or deg."""
+        """The same recording with every `stride`-th observation, and with fewer motor samples: straight lines between
+        them are off by so little that it does not show beside `noise`, one standard deviation of an observation, px or
+        deg."""
         kept = slice(None, None, stride)
         few = {name: getattr(self, name)[kept] for name in ("arrival_s", "observed", "scored")}
         reach = float(np.linalg.norm(np.ptp(self.observed[self.scored], axis=0)))
@@ -114,19 +117,21 @@ class Segment:
         return replace(self, **few, motor=motor, repeats=self.held[kept])
 
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
-        """The same recording, scored only where `keep` (n,) is true."""
+        """The same recording; only observations that were scored already and for which `keep` (n,) is true stay
+        scored."""
         return replace(self, scored=self.scored & keep)
 
 
 def with_noise(simulated: Segment, noise: float) -> Segment:
-    """A simulator's recording with white noise added (fixed seed): without any, its lack of noise would be a difference
-    to the robot. noise: one standard deviation, px or deg."""
+    """A simulator's recording with white noise added (fixed seed), as the robot's recordings have noise and a
+    difference in it would look like an effect. noise: one standard deviation, px or deg."""
     added = np.random.default_rng(0).normal(0.0, noise, simulated.observed.shape)
     return replace(simulated, observed=simulated.observed + added)
 
 
 def load_reference(calibration: Recording) -> float:
-    """The load, mNm, at which a model calibrated on this recording holds: its median, 0 where none was recorded."""
+    """The load, mNm, at which a model calibrated on this recording holds: the recording's median load, 0 where none was
+    recorded."""
     load = calibration.motor.load_mNm
     return 0.0 if load is None else float(np.median(load))
 
@@ -134,10 +139,10 @@ def load_reference(calibration: Recording) -> float:
 def prepare(
     model: Model, calibration: Recording, tests: Sequence[Recording], drives: Sequence[Drive] = ()
 ) -> list[Segment]:
-    """A segment of each recording, the calibration first: of markers (px) where every recording has one, else of angles
-    (deg). drives: of each recording one, where a user's simulator stands in the motor's place. What only repeats the
-    observation before is not scored, as it tells nothing new. TautError where recordings lack a sensor, or one has too
-    few observations to score."""
+    """Makes a segment of each recording, the calibration first: of markers (px) where every recording has one and the
+    rig a camera, else of angles (deg). drives: one for each recording, where a user's simulator stands in the motor's
+    place. Observations that only repeat the one before are not scored. TautError where recordings lack a sensor, or one
+    of them has too few observations to score."""
     recordings = [calibration, *tests]
     by_marker = model.rig.has_camera and all(recording.marker is not None for recording in recordings)
     if not by_marker and not all(recording.angle is not None for recording in recordings):
@@ -165,8 +170,8 @@ def prepare(
 
 
 def _check_scored(name: str, settled: npt.NDArray[np.bool_], scored: npt.NDArray[np.bool_]) -> None:
-    """TautError, with the recording's name, where too few observations are `scored` (n,). settled (n,): which of them
-    show the tip once it had been driven through B both ways."""
+    """Raises TautError, with the recording's name, where too few observations are `scored` (n,). settled (n,): which of
+    them show the tip after it was driven through B both ways."""
     if not settled.any():
         raise TautError(
             f"{name}: the tip is never driven through a full backlash both ways while it is seen: "
@@ -180,30 +185,32 @@ def _check_scored(name: str, settled: npt.NDArray[np.bool_], scored: npt.NDArray
 
 
 def _marker_observations(recording: Recording, path: MotorPath) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """(Arrival times (n,), s; positions of the marker (n, 2), px; which repeat the one before (n,)) where it is
-    seen."""
+    """(Arrival times (n,), s; positions of the marker (n, 2), px; whether each repeats the one before (n,)), only of
+    valid frames. path: of the motor meanwhile."""
     marker = recording.marker
     assert marker is not None
     good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
-    return _of_tip(path, marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good], "px")
+    return _without_strays(path, marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good], "px")
 
 
 def _angle_observations(recording: Recording, path: MotorPath) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """(Arrival times (n,), s; angles (n, 1), deg; which repeat the one before (n,)): at even strides, so that _ANGLES
-    to 2 _ANGLES are left."""
+    """(Arrival times (n,), s; angles (n, 1), deg; whether each repeats the one before (n,)). Of more than 2 _ANGLES
+    readings every n-th is kept, so that _ANGLES to 2 _ANGLES are left. path: of the motor meanwhile."""
     angle = recording.angle
     assert angle is not None
-    times, observed, again = _of_tip(path, angle.t_s[angle.seen], angle.c_deg[angle.seen, None], "deg")
+    times, observed, again = _without_strays(path, angle.t_s[angle.seen], angle.c_deg[angle.seen, None], "deg")
     stride = max(1, len(times) // _ANGLES)
     # Of those that repeat one and of the others as large a part: a link may repeat as regularly.
     kept = np.sort(np.concatenate([np.flatnonzero(again)[::stride], np.flatnonzero(~again)[::stride]]))
     return times[kept], observed[kept], again[kept]
 
 
-def _of_tip(path: MotorPath, times: Array, observed: Array, unit: str) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """(Times (n,), s; observations (n, k); which repeat the one before (n,)) without those that stray so far that they
-    are no readings of the tip (`strays`). path: of the motor meanwhile; unit: "px" or "deg"."""
-    again = repeated(observed)
+def _without_strays(
+    path: MotorPath, times: Array, observed: Array, unit: str
+) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """(Times (n,), s; observations (n, k); whether each repeats the one before (n,)), without observations so far off
+    that they are no readings of the tip (`strays`). path: of the motor meanwhile; unit: "px" or "deg"."""
+    again = are_repeats(observed)
     fresh = np.flatnonzero(~again)
     noise = noise_of(times[fresh], observed[fresh], least_noise(unit))
     kept = np.ones(len(times), dtype=bool)
@@ -211,9 +218,9 @@ def _of_tip(path: MotorPath, times: Array, observed: Array, unit: str) -> tuple[
     return times[kept], observed[kept], again[kept]
 
 
-def repeated(observed: Array) -> npt.NDArray[np.bool_]:
-    """(n,) Whether each observation (n, k) of a continuous sensor equals the one before to the last digit, so that its
-    link has sent it twice. All false for a sensor that counts in steps, which may rest within one."""
+def are_repeats(observed: Array) -> npt.NDArray[np.bool_]:
+    """(n,) Whether each observation (n, k) equals the one before to the last digit, so that the link has sent it twice.
+    All False for a sensor that counts in steps, as such a reading may stay the same by itself."""
     again = repeats(observed)
     fresh = observed[~again]
     continuous = all(len(np.unique(column)) > _CONTINUOUS * len(fresh) for column in fresh.T)

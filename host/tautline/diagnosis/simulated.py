@@ -10,11 +10,11 @@ from threadpoolctl import threadpool_limits
 from tautline.diagnosis import decide, gap
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.hyperparameters import learnt
-from tautline.diagnosis.joint import Joint, likeliest
+from tautline.diagnosis.joint import Joint, fit_held_or_loose
 from tautline.diagnosis.joint_told import Answer, with_joint_answer
 from tautline.diagnosis.recorded import with_markers
 from tautline.diagnosis.segment import prepare
-from tautline.diagnosis.stepping import stepped
+from tautline.diagnosis.stepping import without_step_error
 from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig
@@ -35,13 +35,13 @@ def diagnose_simulator(
     workers: int = 1,
 ) -> Diagnosis:
     """Diagnoses what a simulator lacks: the gap between the robot's recordings and the simulator under the same
-    motions, at a step of time at which it errs by less than the noise. Where single effects leave it open, all of the
-    simulator's parameters are fitted together (joint.py). progress: called with the share that is done, 0 to 1, and
-    what is done now. workers: processes that simulate side by side, with the same result. TautError where nothing can
-    be compared or scored, or the simulator fails."""
+    motions. The simulator runs at a step of time at which it errs by less than the noise. If single effects leave the
+    gap open, all of its parameters are fitted together (joint.py). progress: called with the share that is done, 0 to
+    1, and what is done now. workers: number of processes that simulate side by side; the result does not depend on it.
+    TautError where nothing can be compared or scored, or the simulator fails."""
     progress(0.0, "simulating")
     seen = with_markers(robots, rig, lambda fraction, text: progress(_SIMULATING * fraction, text))
-    simulator, step = stepped(simulator, seen, rig)
+    simulator, step = without_step_error(simulator, seen, rig)
     with pool(simulator, workers) as processes:
         found = replace(nominal(simulator, seen, rig, processes), step=step)
         progress(_SIMULATING, "simulated")
@@ -59,7 +59,9 @@ def diagnose_simulator(
         joint = Joint(found.model, simulator.parameters, tests, diagnosis.document["noise_floor"])
         with threadpool_limits(1, "blas"):
             done = _SIMULATING + _DIAGNOSING
-            told = likeliest(joint, lambda share: progress(done + _FITTING * share, "fitting all parameters together"))
+            told = fit_held_or_loose(
+                joint, lambda share: progress(done + _FITTING * share, "fitting all parameters together")
+            )
             answer = with_joint_answer(diagnosis, Answer.of(*told))
         if answer is diagnosis:  # the joint fit leaves no less
             return diagnosis
@@ -68,9 +70,9 @@ def diagnose_simulator(
 
 
 def _corrected_with_noise(diagnosis: Diagnosis) -> Model:
-    """The corrected model with one standard deviation of a reading about its prediction, px per coordinate or deg, as
-    no calibration has given it one: the noise, and the misfit that it leaves of held-out blocks, enlarged by as much as
-    that is larger on unseen motions (`gap.unseen`, learnt().elsewhere)."""
+    """The corrected model with its uncertainty's noise set, as no calibration has: one standard deviation of a reading
+    about its prediction, px per coordinate or deg. It contains the sensor's noise and the misfit on held-out blocks,
+    enlarged as it is on unseen motions (`gap.unseen`, learnt().elsewhere)."""
     model, floor = diagnosis.corrected, diagnosis.document["noise_floor"]
     noise = gap.unseen(gap.rms(diagnosis.before), gap.rms(diagnosis.after), floor, learnt().elsewhere)
     return replace(model, uncertainty=replace(model.uncertainty, noise=noise))

@@ -41,37 +41,38 @@ _REMEMBERED = 4  # tolerance: sets of hyperparameters of which results are kept
 
 
 def log_sum(logarithms: Array) -> Array:
-    """log(sum(exp(x))) along the last axis, without overflow."""
+    """log(sum(exp(x))) along the last axis, computed without overflow."""
     most = np.max(logarithms, axis=-1)
     return np.asarray(most + np.log(np.sum(np.exp(logarithms - most[..., None]), axis=-1)))
 
 
 @lru_cache(maxsize=8)
 def _log_weights_of_times(freedom: float) -> Array:
-    """(_TIMES,) Logarithms, of the sum 1, of the probability of each of _TIMES as an inverse-gamma number of mean
-    precision 1: a normal number with that variance is Student's t with `freedom`."""
+    """(_TIMES,) Log-probabilities (sum of probabilities 1) of the variances _TIMES under an inverse-gamma density of
+    mean precision 1. A normal number whose variance is drawn from it follows Student's t with `freedom` degrees of
+    freedom."""
     log = invgamma(0.5 * freedom, scale=0.5 * freedom).logpdf(_TIMES) + np.log(_TIMES)
     return np.asarray(log - log_sum(log))
 
 
 def _log_normal(square: Array, variance: Array) -> Array:
-    """The normal log-density of a number with this square, up to a constant."""
+    """Log-density, up to a constant, of a normal number with mean 0 and this variance, given the number's square."""
     return np.asarray(-0.5 * (np.log(variance) + square / variance))
 
 
 def _student_log_density(x: Array) -> Array:
-    """Log-density at x (any shape) of the standard Student's t with _DEGREES degrees of freedom."""
+    """Log-density of the standard Student's t with _DEGREES degrees of freedom, at x (any shape)."""
     n = _DEGREES
     constant = gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n) - 0.5 * np.log(n * np.pi)
     return np.asarray(constant - 0.5 * (n + 1.0) * np.log1p(np.square(x) / n))
 
 
 def _wander_log_ratio(matrix: Array, gradient: Array) -> Array:
-    """(len(WANDERS),) For each w of WANDERS: log of p(residuals | the effect's amplitude varies) / p(residuals | it is
-    constant). If it varies, the coefficients of m polynomials of place, speed, time, side and load by which the
-    effect's signal is multiplied (wander.py) are N(0, w^2 / m) each. With eigenpairs (l, v) of matrix / m and b =
-    v'gradient / sqrt(m) the ratio is sum(w^2 b^2 / (1 + w^2 l) - log(1 + w^2 l)) / 2. matrix (m, m), gradient (m,):
-    normal equations of the coefficients, divided by the noise's power."""
+    """(WANDERS,) For each w of WANDERS the log of p(residuals | the effect's amplitude varies by w) / p(residuals | it
+    is constant). If it varies, the effect's signal is multiplied by m functions of place, speed, time, side and load
+    (wander.py), whose coefficients are N(0, w^2 / m) each. With eigenpairs (l, v) of matrix / m and b = v'gradient /
+    sqrt(m) the result is sum(w^2 b^2 / (1 + w^2 l) - log(1 + w^2 l)) / 2. matrix (m, m), gradient (m,): normal
+    equations of the coefficients, divided by the noise's power."""
     eigenvalues, vectors = np.linalg.eigh(matrix / len(gradient))
     squares, eigenvalues = np.square(vectors.T @ gradient) / len(gradient), np.maximum(eigenvalues, 0.0)
     variance = np.square(WANDERS)[:, None]
@@ -80,15 +81,16 @@ def _wander_log_ratio(matrix: Array, gradient: Array) -> Array:
 
 
 def brought_parts(ids: Collection[str]) -> frozenset[str]:
-    """Those of these effects that are parts of the nominal model which another of them changes too (`Kind.brings`)."""
+    """The ids among `ids` that are parts of the nominal model and are brought by another effect among them
+    (`Kind.brings`)."""
     return frozenset().union(*(BROUGHT.get(name, frozenset()) for name in ids)) & set(ids)
 
 
-def _beside(flexible: frozenset[str], simple: frozenset[str]) -> frozenset[str] | None:
-    """Whether the set of effects `flexible` gives way to the set `simple` if that suffices: an effect of the former
-    contains one of the latter (`Kind.contains`), and the others are the same; parts of the nominal model may be beside
-    the flexible effect alone. If so the effects that both have, else None. Events of the flexible set do not count:
-    they would be seen beside the simple one too."""
+def _in_common_if_replaced(flexible: frozenset[str], simple: frozenset[str]) -> frozenset[str] | None:
+    """The effects that two sets have in common, if the set `flexible` gives way to the set `simple` where that
+    suffices; else None. It gives way if one of its effects contains one of `simple` (`Kind.contains`) and the other
+    effects are the same; parts of the nominal model may be beside the containing effect alone. Events of `flexible` are
+    ignored, as they would be seen beside the simple effect too."""
     flexible = flexible - EVENTS
     others = flexible - simple
     for inner in simple:
@@ -101,10 +103,10 @@ def _beside(flexible: frozenset[str], simple: frozenset[str]) -> frozenset[str] 
 
 
 class Stacked:
-    """Arrays over the hypotheses of one case. The first hypothesis is without any effect."""
+    """Arrays over the hypotheses and blocks of one case. The first hypothesis is without any effect."""
 
     def __init__(self, evidence: CaseEvidence) -> None:
-        """Reads all arrays out of the evidence of a case."""
+        """Computes all arrays from the evidence of a case. Powers below the noise's, floor^2, count as that."""
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
         self._doubt, self._unsteady, self.noisier = evidence.doubt, evidence.unsteady, evidence.noisier
@@ -113,7 +115,7 @@ class Stacked:
         self.applicable = evidence.applicable
         # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
         # an effect was there while calibrating, that is what the effect left, and says nothing of the model.
-        self.calibrated = evidence.calibrated / self.floor2  # what the calibrated model leaves of it, over the floor's
+        self.calibrated = evidence.calibrated / self.floor2  # power left of the own calibration, over the floor's
         self.own_misfit = float(np.clip(self.calibrated, 1.0, INEXACT) - 1.0) * self.floor2
         self._own_misfit_of = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
         self.power = np.maximum([h.power for h in hypotheses], self.floor2)  # (hypotheses, blocks)
@@ -134,18 +136,18 @@ class Stacked:
 
     @property
     def _blocks_in_which_effects_act(self) -> Array:
-        """(hypotheses,) In how many blocks each leaves less power than the nominal model alone: Kish's effective number
-        by how much less, at least 1; all blocks where it leaves nowhere less."""
+        """(hypotheses,) The effective number of blocks in which a hypothesis leaves less power than the nominal model
+        alone: Kish's (sum d)^2 / sum d^2 of the differences d, at least 1; all blocks where it leaves less in none."""
         less = np.maximum(self.power[0] - self.power, 0.0)
         squares = np.sum(less**2, axis=1)
         count = np.square(np.sum(less, axis=1)) / np.where(squares > 0.0, squares, 1.0)
         return np.where(squares > 0.0, np.maximum(count, 1.0), len(self.before))
 
     def _set_scatter(self, hypotheses: Sequence[Weighed]) -> None:
-        """Which hypotheses have an event (`scatters`), and (hypotheses, blocks) each: logarithms of the power over the
-        noise's that is left of a block's frames, with the event as the explanation of their scatter (`by_event`), and
-        with the best one that is none, if that leaves less than the path alone (`without_event`); and whether frames of
-        the block count for the event (`in_sight`)."""
+        """Sets `scatters` (hypotheses,), whether a hypothesis has an event, and three arrays (hypotheses, blocks).
+        `by_event` and `without_event` are logs of the power, over the noise's, that is left of a block's frames: with
+        the event as the explanation of their scatter, and with the best explanation that is no event (the path alone,
+        if no rival is better). `in_sight` is whether frames of the block count for the event."""
         scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
         self.scatters: Flags = np.asarray(scatter.any(axis=1))
         # Of an event that came later the calibration's blocks do not count: `scatter` and `rival` are 0 there.
@@ -154,8 +156,9 @@ class Stacked:
         self.by_event, self.without_event = above_noise + scatter, above_noise + np.minimum(rival, 0.0)
 
     def _set_effects(self, hypotheses: Sequence[Weighed]) -> None:
-        """Which effects each hypothesis has: flags of their kinds, the number of its causes, which hypothesis replaces
-        which (`contained`), and all pairs of which the second has one effect more (`fewer`, `further`: indices)."""
+        """Sets which effects each hypothesis has: flags of their kinds, the number of its causes, and which hypothesis
+        replaces which (`contained`). `fewer` and `further` are the indices of all pairs of hypotheses with at least one
+        effect of which the second has exactly one effect more."""
         self.ids = [h.ids for h in hypotheses]
         self.sets = [frozenset(h.ids) for h in hypotheses]
         self.same: dict[frozenset[str], list[int]] = {}  # indices of the hypotheses with the same effects
@@ -180,18 +183,19 @@ class Stacked:
         self.fewer, self.further = np.array(pairs, dtype=int).reshape(-1, 2).T
 
     def _set_contained(self) -> None:
-        """`contained` (hypotheses, hypotheses): where a set is replaced by a simpler one, the power above the floor
-        that is left without the flexible effect and what stands for it; else -inf."""
+        """Sets `contained` (hypotheses, hypotheses): for each set of effects (row) and each simpler set that replaces
+        it (column), the smallest mean power above the floor of the effects that both have (`_in_common_if_replaced`);
+        -inf for all other pairs, and where these were not fitted."""
         least = {key: float(np.min(self.mean[same])) - self.floor2 for key, same in self.same.items()}
-        beside = [[_beside(key, simple) for simple in self.sets] for key in self.sets]
+        beside = [[_in_common_if_replaced(key, simple) for simple in self.sets] for key in self.sets]
         self.contained = np.array(
             [[-np.inf if rest is None else least.get(rest, -np.inf) for rest in of] for of in beside]
         )
 
     def _set_inexact(self) -> None:
-        """`inexact` (hypotheses, blocks): of which power above the floor right effects leave a share. What laws among
-        them take they take whole, so beside laws it is what these leave: the least that was fitted with some of them
-        alone. The whole gap of a set of laws, or without any."""
+        """Sets `inexact` (hypotheses, blocks): the power above the floor of which right effects leave a share. That is
+        the whole gap for laws alone, and without laws. Laws take their part exactly; beside laws it is therefore the
+        smallest power that was left with some of these laws alone, at most the gap."""
         of_laws = {key: same for key, same in self.same.items() if key and key <= LAWS}
         left = {key: self.power[min(same, key=lambda i: self.mean[i])] - self.floor2 for key, same in of_laws.items()}
         self.inexact = np.tile(self.before, (len(self.sets), 1))
@@ -201,11 +205,10 @@ class Stacked:
                 self.inexact[i] = np.minimum(min(beside, key=lambda power: float(np.mean(power))), self.before)
 
     def _set_wander(self, hypotheses: Sequence[Weighed]) -> None:
-        """Prepares the test of whether an effect's amplitude is the same everywhere; if it wanders with place, speed,
-        time, side or load, the effect is hardly the cause. A row for each effect in `wanders` of each hypothesis:
-        `wandering` (rows,) the hypothesis' index; `wander` (rows, WANDERS) the log-likelihood ratio of an amplitude
-        that varies by each of these shares of itself to a constant one; `geometry` (rows,) whether the effect is one of
-        geometry or time."""
+        """Sets the arrays for the test of whether an effect's amplitude is constant; if it varies with place, speed,
+        time, side or load, the effect is hardly the cause. A row is one effect of one hypothesis. `wandering` (rows,):
+        index of the hypothesis; `wander` (rows, WANDERS): log-likelihood ratio of an amplitude that varies by each of
+        WANDERS to a constant one; `geometry` (rows,): whether the effect is one of geometry or time."""
         effects = [(i, effect) for i, h in enumerate(hypotheses) for effect in h.wanders]
         ratios = [_wander_log_ratio(effect.matrix, effect.gradient) for _, effect in effects]
         self.wandering = np.array([i for i, _ in effects], dtype=int)
@@ -213,8 +216,9 @@ class Stacked:
         self.geometry: Flags = np.array([effect.id in GEOMETRY for _, effect in effects], dtype=bool)
 
     def _set_beyond(self, hypotheses: Sequence[Weighed]) -> None:
-        """(rows, blocks) the powers that no law of the effects' stages could leave and how many independent numbers
-        each is of; hypotheses whose stages leave the same share a row."""
+        """Sets `_beyond_power` (rows, blocks), the powers that no law of the effects' stages could leave, and
+        `_beyond_count`, how many independent numbers each is the mean of. `_beyond_row` is the row of each hypothesis
+        (-1: none); hypotheses with the same powers share one."""
         self._beyond_row: list[int] = []  # of each hypothesis; -1: its stages could leave anything
         rows: dict[bytes, int] = {}
         power, count = [], []
@@ -230,18 +234,20 @@ class Stacked:
             self._beyond_row.append(rows[content])
         self._beyond_power, self._beyond_count = np.array(power), np.array(count)
 
-    def foretold_better(self, calibration_excess: float) -> Array:
-        """(hypotheses,) By how much an event foretells the frames better than anything that is none: the sum over its
-        blocks of the logarithm of the power, below 0 where it foretells them worse; 0 without an event. Nothing is
-        foretold better than a sound calibration does, (1 + calibration_excess) floor^2."""
+    def gain_by_event(self, calibration_excess: float) -> Array:
+        """(hypotheses,) By how much an event predicts the frames better than anything without an event: the sum over
+        its blocks of the log of the power, the best without less that with the event; negative where it predicts them
+        worse, 0 without an event. Powers count as at least what a sound calibration leaves, (1 + calibration_excess)
+        floor^2."""
         least = np.log1p(calibration_excess)
         by_event, without = (np.maximum(left, least) for left in (self.by_event, self.without_event))
         gained = np.zeros(len(self.scatters))
         for i in np.flatnonzero(self.scatters):
-            here = self.in_sight[i]
-            of_all = np.sum(without[:, here], axis=1)
-            same = ~self.scatters | (self.in_sight == here).all(axis=1)
-            gained[i] = float(np.min(of_all[same])) - float(np.sum(by_event[i, here]))
+            counts = self.in_sight[i]
+            sums_without = np.sum(without[:, counts], axis=1)
+            # Hypotheses without an event, and those whose event counts in the same blocks.
+            comparable = ~self.scatters | (self.in_sight == counts).all(axis=1)
+            gained[i] = float(np.min(sums_without[comparable])) - float(np.sum(by_event[i, counts]))
         return gained
 
     def log_likelihood(
@@ -254,17 +260,17 @@ class Stacked:
         freedom: float,
         disturbed: float = 1.0,
     ) -> Array:
-        """(...,) Log-likelihood, up to a constant, of all blocks' powers (..., blocks) if a share `disturbed` of them
-        holds, beside noise of (1 + excess) floor^2, a misfit of mean power `misfit`, and each the nominal model's own,
-        at most `own_misfit`.
+        """(...,) Log-likelihood, up to a constant, of all blocks' powers (..., blocks), px^2 or deg^2. Each block holds
+        noise of (1 + excess) floor^2 and the nominal model's own misfit, at most `own_misfit`; with probability
+        `disturbed` also a misfit of mean power `misfit`.
 
-        A block counts as `tells` numbers of noise, and what it holds beyond noise as one, x: of the block's power v in
-        units of floor^2 the noise has up to n = 1 + excess, and x^2 = n + tells (v - n). x is normal with variance w =
-        n + tells u misfit / floor^2; u, by how much a block's misfit is more or less than its mean, is inverse-gamma,
-        so that x is Student's t with `freedom` beside normal noise; a sum over _TIMES. Where x^2 exceeds the mean of w
-        the model's own misfit adds up to tells own_misfit / floor^2. That is k = blocks / 2 numbers, as each is there
-        twice, in the calibration and in a test: k log(1 + sum(y) / k) replaces sum(log(1 + y)), y the relative increase
-        of w."""
+        A block counts as `tells` numbers of noise, and what it holds beyond noise as one number x. Of the block's power
+        v, in units of floor^2, the noise has up to n = 1 + excess, and x^2 = n + tells (v - n). x is normal with
+        variance w = n + tells u misfit / floor^2. The factor u, by how much a block's misfit differs from the mean one,
+        is inverse-gamma, so that x is Student's t with `freedom` beside normal noise; the integral over u is a sum over
+        _TIMES. Where x^2 exceeds the mean of w, the model's own misfit raises w by a share y, by up to tells own_misfit
+        / floor^2. As each block's own misfit is there twice, in the calibration and in a test, there are k = blocks / 2
+        of them: k log(1 + sum(y) / k) replaces sum(log(1 + y))."""
         noise = 1.0 + np.asarray(excess)
         square, of_noise = self._beyond_noise(power, noise, tells)
         of_misfit = tells * np.asarray(misfit) / self.floor2
@@ -281,21 +287,23 @@ class Stacked:
         return np.asarray(shared + np.sum(of_noise + of_number, axis=-1))
 
     def _beyond_noise(self, power: Array, noise: Array, tells: float) -> tuple[Array, Array]:
-        """(x^2 of blocks' powers (..., blocks), the log-likelihood of the other tells - 1 numbers), as in
-        `log_likelihood`. noise: its power over floor^2."""
+        """(x^2 of each block, log-likelihood of its other tells - 1 numbers), both (..., blocks), as defined in
+        `log_likelihood`. power: (..., blocks); noise: n there, its power over floor^2."""
         of_noise = np.minimum(power / self.floor2, noise)
         square = of_noise + tells * (power / self.floor2 - of_noise)
         return square, -0.5 * (tells - 1.0) * (np.log(noise) + of_noise / noise)
 
     def _log_likelihood_by_share(self, tells: float, freedom: float, excess: float) -> Array:
         """(hypotheses, SHARES) Log-likelihood of all blocks' powers if a hypothesis' effects leave each of SHARES of
-        the gap's power (`before`). tells, freedom, excess: the hyperparameters noise_tells, block_freedom and
+        the gap's power, `before`. tells, freedom, excess: the hyperparameters noise_tells, block_freedom and
         calibration_excess."""
-        every = np.arange(len(self.sets))
-        return self._log_likelihood_of_shares(every, np.tile(self.before, (len(every), 1)), tells, freedom, excess)
+        all_hypotheses = np.arange(len(self.sets))
+        return self._log_likelihood_of_shares(
+            all_hypotheses, np.tile(self.before, (len(all_hypotheses), 1)), tells, freedom, excess
+        )
 
     def _log_likelihood_by_right_share(self, tells: float, freedom: float, excess: float) -> Array:
-        """(hypotheses, SHARES) As `log_likelihood_by_share`, of shares of `inexact`."""
+        """(hypotheses, SHARES) As `_log_likelihood_by_share`, but of shares of the power `inexact`."""
         by_share = self.log_likelihood_by_share(tells, freedom, excess).copy()
         beside_law = np.flatnonzero((self.inexact < self.before).any(axis=1))
         if len(beside_law):
@@ -304,22 +312,23 @@ class Stacked:
         return by_share
 
     def _log_likelihood_of_shares(
-        self, of: npt.NDArray[np.int64], power: Array, tells: float, freedom: float, excess: float
+        self, indices: npt.NDArray[np.int64], power: Array, tells: float, freedom: float, excess: float
     ) -> Array:
-        """(n, SHARES) Log-likelihood of all blocks' powers if each of n hypotheses (indices `of`) leaves that share of
-        `power` (n, blocks)."""
-        own_misfit = self._own_misfit_of[of, None]
+        """(n, SHARES) Log-likelihood of all blocks' powers if each of n hypotheses, with these indices (n,), leaves
+        each of SHARES of `power` (n, blocks)."""
+        own_misfit = self._own_misfit_of[indices, None]
         return np.stack(
             [
-                self.log_likelihood(self.power[of], share * power, excess, own_misfit, tells, freedom)
+                self.log_likelihood(self.power[indices], share * power, excess, own_misfit, tells, freedom)
                 for share in SHARES
             ],
             axis=1,
         )
 
     def log_likelihood_of_any_gap(self, tells: float, freedom: float, excess: float) -> float:
-        """Log-likelihood of the gap itself if nothing imitates its cause: a share of the blocks, any, holds a misfit,
-        of any mean power up to _WIDEST in its logarithm over the noise; the same constant as `log_likelihood`'s."""
+        """Log-likelihood of the gap itself if no effect imitates its cause. An unknown share of the blocks holds a
+        misfit of unknown mean power, up to _WIDEST in its log over the noise; it is the mean over a grid of both. The
+        constant is that of `log_likelihood`."""
         misfits = self.floor2 / tells * np.exp(_GAPS)[:, None]
         by_share = [
             self.log_likelihood(self.power[0], misfits, excess, self.own_misfit, tells, freedom, share)
@@ -328,10 +337,11 @@ class Stacked:
         return float(log_sum(np.ravel(by_share)) - np.log(np.size(by_share)))
 
     def _confined_log_ratio(self, floor_known: float, floor_steady: float, disturbed: float) -> Array:
-        """(hypotheses,) Log-likelihood ratio of the power that is left beyond the effects' stages (confined.py): noise
-        in all but a share `disturbed` of the blocks, as beside right effects, against more than noise in a share of the
-        blocks that may be any, as beside wrong ones; 0 where nothing is known of it. floor_known, floor_steady:
-        standard deviations of the logarithm of the noise's power, between cases and between the blocks of one."""
+        """(hypotheses,) Log-likelihood ratio, right to wrong effects, of the power that is left beyond the effects'
+        stages (confined.py); 0 where that is not known. Beside right effects all but a share `disturbed` of the blocks
+        is noise; beside wrong ones any share may be more than noise, or with probability CONFINED it is as beside right
+        ones. floor_known, floor_steady: standard deviations of the log of the noise's power, between cases and between
+        the blocks of one."""
         if not len(self._beyond_power):
             return np.zeros(len(self._beyond_row))
         by_share = self._log_likelihood_of_disturbed(floor_known, floor_steady, np.array([disturbed, *_WRONG_SHARES]))
@@ -340,14 +350,16 @@ class Stacked:
         return np.append(ratio, 0.0)[self._beyond_row]
 
     def _log_likelihood_of_disturbed(self, floor_known: float, floor_steady: float, shares: Array) -> Array:
-        """(shares, rows) Log-likelihood of the powers beyond the effects' stages if each block is noise, or with the
-        probability of that share noise and any disturbance on top of it: prod((1 - s) noise + s disturbed), integrated
-        over the error of the floor. The logarithm x of a disturbed block's power over the noise has a density
-        proportional to 1 / (x + its spread) from 0 to _WIDEST. The parameters are `_confined_log_ratio`'s."""
+        """(shares, rows) Log-likelihood of the powers beyond the effects' stages if each block is, with the probability
+        s of `shares`, noise with a disturbance on top of it, and else noise: the product over blocks of (1 - s) noise +
+        s disturbed, integrated over the error of the floor. The log x of a disturbed block's power over the noise has a
+        density proportional to 1 / (x + its spread) from 0 to _WIDEST. Further parameters as of
+        `_confined_log_ratio`."""
         x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]  # (rows, 1, blocks)
         spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2 + self._unsteady**2)[:, None]
         floor_known = float(np.hypot(floor_known, self._doubt))
-        # The error of the log noise power: below the floor exponential, as what rests may well scatter more.
+        # Log prior of the error of the log noise power: normal above the floor, exponential below it, as the floor is
+        # estimated at rest, where the marker may well scatter more.
         error = _FLOOR_ERRORS * floor_known
         prior = np.where(error > 0.0, -0.5 * np.square(error / floor_known), -np.abs(error))
         above_noise = x - error[:, None]  # (rows, errors, blocks)
@@ -355,6 +367,7 @@ class Stacked:
         # What disturbs a block comes on top of its noise, which has to be low where the block is.
         noise_is_lower = np.log(stdtr(_DEGREES, above_noise / spread))
         disturbed = noise_is_lower - np.log((np.maximum(above_noise, 0.0) + spread) * np.log1p(_WIDEST / spread))
+        # (1 - s) noise + s disturbed = noise (1 + s relative). Products of a few blocks save logarithms.
         relative = np.exp(disturbed - noise) - 1.0
         share = shares[:, None, None]
         mixed = np.zeros((len(shares), *noise.shape[:2]))  # sum over blocks of log(1 + share relative)

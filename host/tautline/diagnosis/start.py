@@ -34,7 +34,7 @@ _SURE = 2.0  # loss: rms of B's finest details over its standard deviation; wher
 
 @dataclass(frozen=True)
 class Start:
-    """The hypotheses of effects from the start, and the verdict on them."""
+    """The fitted hypotheses of effects that were there from the start, and the verdict on them."""
 
     fitter: Fitter
     gathered: Gathered
@@ -47,26 +47,27 @@ class Start:
 
     @property
     def fit(self) -> Fit:
-        """The fit of what is named, with the nominal model free beside it."""
+        """The fit of the chosen hypothesis, with the nominal model free beside its effects."""
         return self.gathered.candidates[self.verdict.chosen].fit
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """What is named, with its fitted parameters."""
+        """The named effects with their fitted parameters, as a model carries them."""
         values = self.fit.state.values
         kinds = [kind for kind in self.fit.hypothesis.kinds if kind.id in self.named]
         return tuple(kind.of_values(values) for kind in kinds)
 
 
 def concerns(model: Model) -> bool:
-    """Whether an effect may have been there while calibrating: the calibration's verdict gives one as a reason, or B
-    has details that no smooth B has (`in_the_width`)."""
+    """Whether there is reason to look for effects that were there while calibrating: the calibration's verdict names
+    one as a reason, or B has details that no smooth B has (`in_the_width`)."""
     return any(reason.code in NAMES for reason in model.quality.reasons) or in_the_width(model)
 
 
 def in_the_width(model: Model) -> bool:
-    """Whether B has details finer than the nominal model's splines: whether their rms exceeds _SURE times that of B's
-    standard deviation. A smooth B has none; an effect such as an encoder's ripple leaves them."""
+    """Whether B has significant details that are finer than the nominal model's splines: their rms exceeds _SURE times
+    the rms of B's standard deviation. An effect such as an encoder's ripple leaves such details. False where the
+    measured range has fewer than 2 WIDTH_PIECES nodes."""
     low, high = model.measured
     inside = (model.q > low) & (model.q < high)
     q, width, sigma = (values[inside] for values in (model.q, model.width, model.width_sigma))
@@ -77,9 +78,9 @@ def in_the_width(model: Model) -> bool:
 
 
 def of_recordings(model: Model, recordings: Sequence[Recording], progress: Progress) -> Start:
-    """Which effects were there from the first recording on. model: its own effects are left out, and looked for anew.
-    recordings: on the motor's clock, the earliest first. progress: called with the share that is done, 0 to 1, and what
-    is done now. Raises TautError where none can be scored."""
+    """Finds which effects were there from the first recording on. model: the effects that it carries are left out, and
+    looked for anew. recordings: on the motor's clock, the earliest first. progress: called with the share that is done,
+    0 to 1, and what is done now. Raises TautError where none can be scored."""
     model = model.alone
     segments, reference = prepare(model, recordings[0], recordings[1:]), load_reference(recordings[0])
     tracked = tracker.of_videos(model, segments, reference, recordings)
@@ -94,21 +95,21 @@ def of_segments(
     progress: Progress,
     left_out: Collection[str] = (),
 ) -> Start:
-    """As `of_recordings`, of segments, all of which count as the calibration. load_mNm: at which the model's tables
-    hold. tracked: of videos, the tracker's error, which is taken off the segments already. left_out: ids of effects not
-    to try. The noise floor is set twice: first from what the model leaves as it is, to weigh the recalibration, then
-    from what that leaves."""
-    alike = [replace(segment, calibration=True) for segment in segments]
-    fitter = Fitter(model, alike, load_mNm, smooth=True)
+    """As `of_recordings`, from segments, all of which count as the calibration. load_mNm: at which the model's tables
+    hold. tracked: the tracker's error in videos, which is taken off the segments already. left_out: ids of effects not
+    to try. The noise floor is set twice: first by what the model leaves as it is, to weigh the recalibration, then by
+    what the recalibrated model leaves."""
+    as_calibration = [replace(segment, calibration=True) for segment in segments]
+    fitter = Fitter(model, as_calibration, load_mNm, smooth=True)
     moving = tracked.noise if tracked else 0.0
     if tracked:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
-    fitter.floor = max(gap.noise_floor(alike, fitter.residuals(fitter.start(), fitter.no_effect)), moving)
+    fitter.floor = max(gap.noise_floor(as_calibration, fitter.residuals(fitter.start(), fitter.no_effect)), moving)
     base = fitter.recalibrated()
-    noise = gap.noise_floor(alike, base.residuals, fitter.across(base), fitter.relative_noise)
+    noise = gap.noise_floor(as_calibration, base.residuals, fitter.across(base), fitter.relative_noise)
     fitter.floor = max(noise, moving)
     kinds = [kind for kind in applicable(fitter, left_out) if kind.id in NAMES]
-    hidden = confounded.hidden(kinds, alike)
+    hidden = confounded.drift_hidden_by_load(kinds, as_calibration)
     kinds = [kind for kind in kinds if kind.id not in hidden]
     gathered = gather(fitter, base.residuals, base, kinds, progress, (Scope.START,))
     return Start(fitter, gathered, decide.decide(gathered.evidence))

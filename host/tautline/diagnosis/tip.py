@@ -25,9 +25,10 @@ _SETTLED = 0.3  # format: share of the trajectory after which the tip has been d
 
 
 def simulated_error(nominal: Model, corrected: Model) -> dict[str, Any] | None:
-    """The object `tip` of diagnosis.json: rms error of the tip's angle on a smooth trajectory over the reached angles,
-    the instrument being `corrected`: `before_deg` with the tables of `nominal`, `after_deg` with its own. Loads and
-    other axes stay as calibrated. None where no table can be made of one of them."""
+    """The object `tip` of diagnosis.json: rms error of the tip's angle, deg, on a smooth trajectory over the reached
+    angles, if the instrument is as `corrected` says. `before_deg` is with the tables of `nominal`, `after_deg` with
+    those of `corrected`. Loads and other axes stay as calibrated. None where no table can be made of one of the
+    models."""
     try:
         t_s, c_deg = _trajectory(corrected)
         before, after = (_rms_error(tables, corrected, t_s, c_deg) for tables in (nominal, corrected))
@@ -37,7 +38,8 @@ def simulated_error(nominal: Model, corrected: Model) -> dict[str, Any] | None:
 
 
 def _trajectory(model: Model) -> tuple[Array, Array]:
-    """(Times (n,), s; angles (n,), deg) of a smooth random trajectory (fixed seed) within the reached angles."""
+    """(Times (n,), s; angles (n,), deg) of a smooth random trajectory (fixed seed) within the reached angles, but for a
+    share _FREE at either end."""
     ends = np.sort(model.remaining(np.array(model.rig.actuator.range)))
     free = _FREE * (ends[1] - ends[0])
     tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), _RESOLUTION_DEG)  # planned as a motor's
@@ -46,8 +48,8 @@ def _trajectory(model: Model) -> tuple[Array, Array]:
 
 
 def _rms_error(tables: Model, instrument: Model, t_s: Array, c_deg: Array) -> float:
-    """Rms difference, deg, between a trajectory c_deg (n,) at t_s (n,) and the simulated instrument's angle, whose
-    motor is driven by these tables, from the share _SETTLED of the time on."""
+    """Rms difference, deg, between the wanted trajectory c_deg (n,) at t_s (n,) and the simulated angle of
+    `instrument`, whose motor is driven by `tables`. The first share _SETTLED of the time does not count."""
     points = compensate(tables, t_s, c_deg)
     motor = Motor(points.t_s, points.q)
     parameters = effects.of_model(instrument, scatter=True)

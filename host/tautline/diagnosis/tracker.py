@@ -39,7 +39,7 @@ _BEYOND_DEG = 5.0  # tolerance: deg by which the path goes beyond the model's an
 
 @dataclass(frozen=True)
 class TrackerError:
-    """Recordings less the tracker's error, and the noise that is left."""
+    """Recordings with the tracker's error taken off, and the noise that is left."""
 
     segments: list[Segment]  # observations corrected, places that are wrong not scored
     noise: float  # px, one standard deviation per coordinate of a moving marker
@@ -48,13 +48,15 @@ class TrackerError:
     left_out: float  # share of the frames that are not scored as their place is wrong
 
     def to_json(self) -> dict[str, float]:
-        """The object `tracker` of diagnosis.json."""
+        """The object `tracker` of diagnosis.json; it has only the noise and the share of frames that are left out."""
         return {"noise": self.noise, "left_out": self.left_out}
 
 
 def without_tracker_error(model: Model, segments: Sequence[Segment], load_reference: float) -> TrackerError | None:
-    """The tracker's error in recordings of videos, the calibration first. None where other axes move the marker's path,
-    or the calibration shows too few places. load_reference: mNm at which the model's tables hold."""
+    """Takes the tracker's error off recordings of videos, the calibration first, and estimates the noise of a moving
+    marker. None where the observations are no pixels, other axes move (and so the marker's path), the calibration shows
+    too few places, or a recording would be left without a scored frame. load_reference: mNm at which the model's tables
+    hold."""
     other_axes = (column for s in segments for column in (s.motor.translation_mm, s.motor.rotation_deg))
     if segments[0].unit != "px" or any(column is not None and np.ptp(column) > 0.0 for column in other_axes):
         return None
@@ -85,16 +87,17 @@ def without_tracker_error(model: Model, segments: Sequence[Segment], load_refere
 def of_videos(
     model: Model, segments: Sequence[Segment], load_reference: float, recordings: Sequence[Recording]
 ) -> TrackerError | None:
-    """As `without_tracker_error`, if all recordings are videos that were tracked here; else None."""
+    """As `without_tracker_error`, if every recording has a video that was tracked here; else None."""
     if any(recording.video is None for recording in recordings):
         return None
     return without_tracker_error(model, segments, load_reference)
 
 
 def _cross_validated_error(view: _View, scored: Mask, places: _Places) -> Array:
-    """(scored,) px across the path: each of the calibration's frames less the error that the other half of the
-    calibration shows at its place, or where that half shows none the whole: an error of a single pass, as a codec makes
-    it, is no error of the place."""
+    """(scored,) px across the path: what is left of each of the calibration's frames by the error that the other half
+    of the calibration shows at its place. The halves are alternate ones of _PARTS parts, as an error of a single pass,
+    such as a codec's, is no error of the place. Where the other half does not show the place, the error by the whole
+    calibration is taken."""
     half = np.arange(len(scored)) * _PARTS // len(scored) % 2
     residual = view.across - places.across(view.seen)
     for tested in (half == 0, half == 1):
@@ -106,7 +109,8 @@ def _cross_validated_error(view: _View, scored: Mask, places: _Places) -> Array:
 
 
 def _spread_of_log_power(residual: Array, block: npt.NDArray[np.int64]) -> float:
-    """Standard deviation between blocks of the natural logarithm of their mean square. residual, block: (scored,)."""
+    """Standard deviation, between blocks, of the natural log of a block's mean square. residual, block (its number):
+    (scored,)."""
     frames = np.bincount(block)
     power = np.bincount(block, residual**2)[frames > 0] / frames[frames > 0]
     return float(np.std(np.log(power)))
@@ -114,7 +118,7 @@ def _spread_of_log_power(residual: Array, block: npt.NDArray[np.int64]) -> float
 
 @dataclass(frozen=True)
 class _View:
-    """A recording's n frames in coordinates along and across the marker's path, px."""
+    """The n frames of a recording in coordinates along and across the marker's path, px."""
 
     at: npt.NDArray[np.intp]  # (n,) index of the path's point that is nearest to the observed marker
     seen: Array  # (n,) length along the path to that point
@@ -125,7 +129,7 @@ class _View:
 
 @dataclass(frozen=True)
 class _Path:
-    """The marker's path in the image by the model, as m points."""
+    """The marker's path in the image as the model predicts it: m points."""
 
     point: Array  # (m, 2) px
     normal: Array  # (m, 2) unit vectors across the path
@@ -133,7 +137,7 @@ class _Path:
 
     @classmethod
     def of(cls, model: Model) -> _Path:
-        """The path over the model's bending angles, and _BEYOND_DEG farther at either end."""
+        """The path over the model's bending angles, extended by _BEYOND_DEG at either end."""
         low, high = float(np.min(model.c_deg)) - _BEYOND_DEG, float(np.max(model.c_deg)) + _BEYOND_DEG
         point = project(model.rig, np.arange(low, high, _STEP_DEG))
         step = np.gradient(point, axis=0)
@@ -143,9 +147,10 @@ class _Path:
         return cls(point, normal, np.concatenate([[0.0], np.cumsum(lengths)]))
 
     def view(self, observed: Array, predicted: Array) -> _View:
-        """A recording's frames in coordinates along and across the path. observed, predicted: (n, 2) px."""
+        """The frames of a recording in coordinates along and across the path, each relative to the nearest point of the
+        path. observed, predicted: marker, (n, 2) px."""
         tree = KDTree(self.point)
-        at, expected = (np.asarray(tree.query(where)[1], dtype=np.intp) for where in (observed, predicted))
+        at, expected = (np.asarray(tree.query(positions)[1], dtype=np.intp) for positions in (observed, predicted))
         normal = self.normal[at]
         tangent = np.column_stack([normal[:, 1], -normal[:, 0]])  # as c rises
         across = np.sum((observed - self.point[at]) * normal, axis=1)
@@ -154,8 +159,9 @@ class _Path:
 
 
 def _stretch_edges(seen: Array) -> Array:
-    """Edges, px along the path, of stretches with at least _FEWEST frames and _PLACE_PX; a hole without the marker
-    becomes a stretch of its own. seen: sorted positions (n,) of the marker along the path, px."""
+    """Edges, px along the path, of stretches that each have at least _FEWEST frames and a length of _PLACE_PX. Where
+    the marker was not seen for more than _HOLE_PX, the hole is a stretch of its own. seen: sorted positions (n,) of the
+    marker, px along the path."""
     edges = [seen[0]]
     frames = 0
     for before, position in pairwise(seen):
@@ -170,20 +176,20 @@ def _stretch_edges(seen: Array) -> Array:
 
 
 def _medians_by_place(view: _View, scored: Mask, place: npt.NDArray[np.intp], known: Mask) -> tuple[Array, Array]:
-    """(places,) twice, px: the median across the path of a place's scored frames, and how far these scatter in either
-    direction, along it and across; NaN where a place is not `known`. place (n,): of each frame."""
+    """((places,) median across the path of a place's scored frames, (places,) their scatter, one standard deviation in
+    one direction), px; NaN for places that are not `known`. place (n,): index of each frame's place."""
     across, scatter = np.full((2, len(known)), np.nan)
     for k in np.flatnonzero(known):
-        here = scored & (place == k)
-        across[k], along = np.median(view.across[here]), np.median(view.along[here])
-        off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along)
+        at_place = scored & (place == k)
+        across[k], along = np.median(view.across[at_place]), np.median(view.along[at_place])
+        off = np.abs(view.across[at_place] - across[k]) + np.abs(view.along[at_place] - along)
         scatter[k] = 0.5 * spread.deviation(off)  # of one direction: `off` adds two
     return across, scatter
 
 
 @dataclass(frozen=True)
 class _Places:
-    """The tracker's error at stretches of the path (places), from the calibration's frames."""
+    """The tracker's error at stretches of the path (places), estimated from the calibration's frames."""
 
     edges: Array  # (places + 1,) px along the path
     wrong: Mask  # (places,) at which it cannot be trusted
@@ -192,9 +198,9 @@ class _Places:
 
     @classmethod
     def of(cls, view: _View, scored: Mask) -> _Places | None:
-        """From the calibration's scored frames: the median across the path of each place, smoothed along the path, and
-        which places are wrong (many far frames, or a large scatter, or next to such a place). None where fewer than
-        _PLACES are right."""
+        """Estimates the error from the calibration's scored frames: the median across the path at each place, smoothed
+        along it. A place is wrong if many of its frames are far off, if its scatter is large, or if it is next to such
+        a place. None where fewer than _PLACES places have enough frames, or are right."""
         if not scored.any():
             return None
         edges = _stretch_edges(np.sort(view.seen[scored]))
@@ -218,16 +224,19 @@ class _Places:
         return cls(edges, wrong, middle, np.asarray(smooth(middle)))
 
     def across(self, along: Array) -> Array:
-        """(n,) The tracker's error, px across the path, at positions (n,), px along it."""
+        """(n,) The tracker's error, px across the path, at the positions `along` (n,), px along it; beyond the right
+        places that of the last one."""
         return np.interp(along, self.middle, self.error)
 
     def reach(self, along: Array) -> Mask:
-        """(n,) Whether positions (n,), px along the path, lie between the first and the last right place."""
+        """(n,) Whether the positions `along` (n,), px along the path, lie between the first and the last right
+        place."""
         reached: Mask = (along >= self.middle[0]) & (along <= self.middle[-1])
         return reached
 
     def are_right(self, along: Array) -> Mask:
-        """(n,) Whether positions (n,), px along the path, are at no wrong place; true beyond all places."""
+        """(n,) Whether the positions `along` (n,), px along the path, are at no wrong place; True also beyond all
+        places."""
         place = np.digitize(along, self.edges) - 1
         inside = (place >= 0) & (place < len(self.wrong))
         right: Mask = ~(inside & self.wrong[np.clip(place, 0, len(self.wrong) - 1)])

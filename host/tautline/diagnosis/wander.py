@@ -31,9 +31,9 @@ _SAME = 1e-6  # tolerance: variance of an axis, or of a polynomial of it, below 
 
 
 def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequence[float]) -> tuple[Wander, ...]:
-    """For each effect of a fit that adds anything: the normal equations of its factors, all unknowns of the fit free
-    beside them. rows: of the fit (Fitter.linearised). limits: of each recording, px or deg, to which residuals are
-    cut."""
+    """For each effect of a fit the normal equations of its factors, with all unknowns of the fit free beside them.
+    Effects that add nothing, or whose axes do not vary, are left out. rows: of the fit (Fitter.linearised). limits: of
+    each recording, px or deg, to which residuals are cut."""
     if not fit.hypothesis.slots:
         return ()
     axes = axes_values([_course(segment, row) for segment, row in zip(fitter.segments, rows, strict=True)])
@@ -51,8 +51,8 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
 
 
 def _signals(fit: Fit, rows: Sequence[ScoredRows]) -> list[list[Array]]:
-    """For each effect of a fit and each recording (scored, k), px or deg: its columns times its amplitudes, what it
-    adds to the prediction to first order."""
+    """For each effect of the fit and each recording its signal (scored, k), px or deg: what the effect adds to the
+    prediction, to first order, as the columns of its amplitudes times the amplitudes."""
     slots = fit.hypothesis.slots
     signals = []
     for kind in fit.hypothesis.kinds:
@@ -65,9 +65,9 @@ def _signals(fit: Fit, rows: Sequence[ScoredRows]) -> list[list[Array]]:
 def _factors_normal(
     fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], columns: Sequence[Array], limits: Sequence[float]
 ) -> tuple[Array, Array]:
-    """(Normal matrix (m, m), gradient (m,)) of the factors of `columns` (scored, k, m of each recording), with all
-    unknowns of the fit eliminated. Both are divided by the noise's power: the mean square of the residuals with all of
-    these fitted, times the number of successive ones that count as one, at least floor^2."""
+    """(Normal matrix (m, m), gradient (m,)) of the factors of `columns`, (scored, k, m) of each recording, after all
+    unknowns of the fit are eliminated. Both are divided by the noise's power: the mean square of the residuals after
+    all of these are fitted, times the number of successive residuals that count as one, at least floor^2."""
     precision = fitter.floor**2 * fitter.prior_precision(fit.hypothesis)
     extended = [
         replace(row, columns=np.concatenate([row.columns, further], axis=2))
@@ -91,7 +91,7 @@ def _factors_normal(
 
 @dataclass(frozen=True)
 class Course:
-    """What one recording's tip did at its n observations, for the axes. All (n,)."""
+    """The values that the axes are made of, at the n observations of a recording. All are (n,)."""
 
     p: Array  # the play's centre coordinate, unit of q
     t_s: Array  # rising
@@ -101,16 +101,15 @@ class Course:
 
 
 def _course(segment: Segment, row: ScoredRows) -> Course:
-    """The course of one recording; its load is 0 where none was recorded."""
+    """The course of one recording; the load is 0 where none was recorded."""
     motor, t = segment.motor, segment.arrival_s
     load = np.zeros_like(t) if motor.load_mNm is None else np.interp(t, motor.t_s, motor.load_mNm)
     return Course(row.path.p, t, t + segment.offset_s, load, segment.scored)
 
 
 def axes_values(courses: Sequence[Course]) -> dict[str, list[Array]]:
-    """The values of each axis, (scored,) of each recording, scaled linearly to -1 .. 1: place p, logarithm of the
-    speed, time of the session, side (direction of motion), load. At rest speed and side are those of the motion
-    before."""
+    """{axis: (scored,) values of each recording}, scaled linearly so that they span -1 .. 1. place: p; speed: its log;
+    time: of the session; side: direction of motion; load. At rest speed and side are those of the last motion."""
     speeds = [np.gradient(course.p, course.t_s) for course in courses]
     fast = max(float(np.quantile(np.abs(np.concatenate(speeds)), _FAST)), 1e-300)
     found: dict[str, list[Array]] = {name: [] for name in _ORDERS}
@@ -126,26 +125,28 @@ def axes_values(courses: Sequence[Course]) -> dict[str, list[Array]]:
 
 
 def _scaled_to_unit(values: Sequence[Array]) -> list[Array]:
-    """The same values scaled linearly so that all recordings together span -1 to 1."""
-    every = np.concatenate(values)
-    low, high = float(every.min()), float(every.max())
+    """The values of each recording, scaled linearly so that all recordings together span -1 to 1; all -1 where they do
+    not vary."""
+    all_values = np.concatenate(values)
+    low, high = float(all_values.min()), float(all_values.max())
     return [2.0 * (v - low) / max(high - low, 1e-300) - 1.0 for v in values]
 
 
 def _power(signals: Sequence[Array]) -> float:
-    """Sum of squares of all numbers of all recordings."""
+    """Sum of squares of all numbers, of all recordings."""
     return sum(float(np.sum(signal**2)) for signal in signals)
 
 
 def varying_columns(
     axes: dict[str, list[Array]], signal: Sequence[Array], power_of_all: float
 ) -> tuple[list[Array], dict[str, Array]]:
-    """(Columns (n, k, m) of each recording, {axis: (2, m) value of each column's function at its low and high end}):
-    the signal (n, k) of an effect times polynomials of each axis, orthonormal over the signal's power among themselves
-    and to a constant, times sqrt(power_of_all / the signal's sum of squares). So a factor's square is a variance of the
-    amplitude along its axis, as a share of what all effects add, though the signal be in a small part of the range.
-    axes: values (n,) of each axis and recording; power_of_all: sum of squares of what all effects add. ([], {}) where
-    nothing varies."""
+    """(Columns (n, k, m) of each recording, {axis: (2, m) value of each column's function at the low and the high end
+    of the axis}; 0 for functions of other axes). A column is the signal (n, k) of an effect times a function: a
+    polynomial of an axis, times sqrt(power_of_all / the signal's sum of squares). The polynomials of an axis are
+    orthonormal among themselves and to a constant, weighted by the signal's power. So a factor's square is a variance
+    of the amplitude along that axis, as a share of what all effects add, even if the signal is confined to a part of
+    the range. axes: values (n,) of each axis and recording; power_of_all: sum of squares of what all effects add. ([],
+    {}) where nothing varies."""
     power = [np.sum(values**2, axis=1) for values in signal]
     total = sum(float(np.sum(of_recording)) for of_recording in power)
     if total <= 0.0:
@@ -157,6 +158,7 @@ def varying_columns(
     at_ends: list[tuple[str, Array]] = []  # of each column its axis and its values at the ends
     for axis, values_of in axes.items():
         values = np.concatenate(values_of)
+        # The observations at the weighted quantiles _ENDS of the axis.
         ranked = np.argsort(values)
         ends = ranked[np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS))]
         for polynomial in _orthonormal_polynomials(values, weight, _ORDERS[axis]):
@@ -173,8 +175,8 @@ def varying_columns(
 
 
 def _orthonormal_polynomials(values: Array, weight: Array, order: int) -> list[Array]:
-    """Polynomials of values (n,) of degrees 1 to `order`, each (n,), orthonormal under weight (n,), sum 1, among
-    themselves and to a constant, by Gram and Schmidt; without those that hardly vary."""
+    """Polynomials of the values (n,), of the degrees 1 to `order`, each (n,), by Gram and Schmidt. They are orthonormal
+    among themselves and to a constant under the weights (n,), whose sum is 1. Those that hardly vary are left out."""
     mean = float(weight @ values)
     deviation = float(np.sqrt(weight @ (values - mean) ** 2))
     if not deviation**2 > _SAME:
@@ -191,8 +193,9 @@ def _orthonormal_polynomials(values: Array, weight: Array, order: int) -> list[A
 
 
 def _reduced_normal(matrix: Array, gradient: Array, first: int) -> tuple[Array, Array, Array]:
-    """(Normal matrix, gradient) of the unknowns from index `first` on with all others eliminated (Schur complement C -
-    X'A^-1 X), and the least-squares step of all unknowns."""
+    """(Normal matrix, gradient) of the unknowns from index `first` on after all others are eliminated, by the Schur
+    complement C - X'A^-1 X; and the least-squares step of all unknowns. Unknowns are scaled first, as their units
+    differ; the pseudo-inverse drops directions that are not determined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled, scaled_gradient = matrix * np.outer(scale, scale), scale * gradient
     cross = scaled[:first, first:]
@@ -205,8 +208,8 @@ def _reduced_normal(matrix: Array, gradient: Array, first: int) -> tuple[Array, 
 
 
 def _power_per_independent(residuals: Sequence[Array]) -> float:
-    """Mean square of residuals (n, k) of each recording times the number of successive ones that count as one, 1 + 2
-    sum(rho), rho the autocorrelation up to the first lag at which it is not positive; px^2 or deg^2."""
+    """Mean square of the residuals, (n, k) of each recording, times the number of successive ones that count as one: 1
+    + 2 sum(rho), with rho the autocorrelation up to the first lag at which it is not positive; px^2 or deg^2."""
     summed: Array = np.zeros(max(len(values) for values in residuals))
     for values in residuals:
         for column in values.T:
@@ -218,6 +221,6 @@ def _power_per_independent(residuals: Sequence[Array]) -> float:
 
 
 def _autocovariance_sums(values: Array) -> Array:
-    """(n,) For each lag the sum of products of values (n,) with those that are so many samples later."""
+    """(n,) For each lag l = 0 .. n - 1 the sum over i of values[i] values[i + l], by FFT with zero padding."""
     spectrum = np.abs(np.fft.rfft(values, 2 * len(values))) ** 2
     return np.fft.irfft(spectrum)[: len(values)]

@@ -33,7 +33,7 @@ AXES: Mapping[str, tuple[str, str, str]] = {
 
 @dataclass(frozen=True)
 class Condition:
-    """How a residual goes with one axis."""
+    """How the residual's power varies along one axis."""
 
     axis: str  # one of AXES
     share: float  # of the residual's power that goes with the axis, 0 to 1
@@ -44,13 +44,13 @@ class Condition:
     power: Array  # (bins,) mean over observations of the squared residual, summed over its coordinates
 
     def to_json(self) -> dict[str, Any]:
-        """An entry of the list `where.conditions` of diagnosis.json."""
+        """The condition as an entry of the list `where.conditions` of diagnosis.json; without its curves."""
         return {"axis": self.axis, "share": self.share, "range": list(self.range), "says": self.says}
 
 
 def conditions(segments: Sequence[Segment], residuals: Sequence[Array]) -> list[Condition]:
-    """How the residuals, (scored, k) of each segment, go with each axis that every recording has, the largest share
-    first."""
+    """How the residuals, (scored, k) of each segment, vary along each axis; the largest share first. Axes that a
+    recording lacks, or that do not vary, are left out."""
     columns: dict[str, list[Array]] = {}
     for segment in segments:
         for name, values in axis_values(segment).items():
@@ -62,16 +62,16 @@ def conditions(segments: Sequence[Segment], residuals: Sequence[Array]) -> list[
             continue  # not known in every recording
         values = np.concatenate(parts)
         if np.ptp(values) > 0.0:
-            result.append(_condition(name, values, residual))
+            result.append(_condition_of_axis(name, values, residual))
     return sorted(_without_apparent_time(result, columns, residual), key=lambda c: -c.share)
 
 
 def _without_apparent_time(
     conditions: Sequence[Condition], columns: Mapping[str, list[Array]], residual: Array
 ) -> list[Condition]:
-    """The conditions with time's share reduced to that of the residual divided by its rms over the best other axis: as
-    motions differ between recordings, a gap that goes with speed seems to go with time. columns: of each axis its
-    values (scored,) by recording; residual: (n, k) of all."""
+    """The conditions with the share of time reduced. As motions differ between recordings, a gap that goes with speed
+    seems to go with time too; so the share of time is at most that in the residual divided by its rms over the best
+    other axis. columns: {axis: its values (scored,) of each recording}; residual: (n, k) of all recordings."""
     others = [c for c in conditions if c.axis != "time"]
     if not others:
         return list(conditions)
@@ -81,21 +81,23 @@ def _without_apparent_time(
     result = []
     for condition in conditions:
         if condition.axis == "time":
-            beside_best = _condition("time", np.concatenate(columns["time"]), normalised).share
+            beside_best = _condition_of_axis("time", np.concatenate(columns["time"]), normalised).share
             condition = replace(condition, share=min(condition.share, beside_best))
         result.append(condition)
     return result
 
 
 def constant_share(residuals: Sequence[Array]) -> float:
-    """Share of the residuals' power, 0 to 1, that is in the mean of each recording. residuals: (scored, k) of each."""
+    """Share, 0 to 1, of the residuals' power that the means of each recording hold. residuals: (scored, k) of each
+    recording."""
     power = sum(float(np.sum(r**2)) for r in residuals)
     return sum(float(np.sum(r.mean(axis=0) ** 2)) * len(r) for r in residuals) / max(power, 1e-300)
 
 
 def axis_values(segment: Segment) -> dict[str, Array]:
-    """{axis: its values (n,) at the recording's observations, in its unit} of those AXES that were recorded. direction:
-    -1 or 1, 0 at rest; phase: time since the last reversal."""
+    """{axis: its values (n,) at the recording's observations, in its unit}, for those of AXES that were recorded.
+    direction: -1 or 1, 0 at rest; phase: time since the last change of direction, a rest between not counting as
+    one."""
     motor, t = segment.motor, segment.arrival_s
     q = np.interp(t, motor.t_s, motor.q)
     rate = np.gradient(q, t) if len(t) > 1 else np.zeros_like(q)
@@ -114,10 +116,10 @@ def axis_values(segment: Segment) -> dict[str, Array]:
     return values
 
 
-def _condition(name: str, values: Array, residual: Array) -> Condition:
-    """How the residual (n, k) goes with the values (n,) of the axis `name`. Its share of the power is the larger of the
-    share that the bins' mean residuals explain, and of what would have to be in other bins for all to have the same
-    power per observation: half the mean relative deviation from the mean power."""
+def _condition_of_axis(name: str, values: Array, residual: Array) -> Condition:
+    """How the residual (n, k) varies with the values (n,) of the axis `name`. The share of the power is the larger of
+    two: what the bins' mean residuals explain, and what would have to move to other bins for all to have the same power
+    per observation (half the mean relative deviation from the mean power)."""
     edges = _bin_edges(values)
     bin_of = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     count = np.bincount(bin_of, minlength=len(edges) - 1).astype(float)
@@ -145,8 +147,8 @@ def _condition(name: str, values: Array, residual: Array) -> Condition:
 
 
 def _bin_edges(values: Array) -> Array:
-    """(bins + 1,) Edges of _BINS bins with about as many of the values (n,) each; of up to three distinct values, such
-    as directions, a bin for each."""
+    """(bins + 1,) Edges of up to _BINS bins with about as many of the values (n,) each. With at most three distinct
+    values, such as directions, each value has a bin of its own."""
     levels = np.unique(values)
     if len(levels) > 3:
         return np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))

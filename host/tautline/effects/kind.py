@@ -30,8 +30,8 @@ Holds = Callable[[Model, Mapping[str, float], float], Model]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an effect. A parameter whose unit begins with "unit" is in the actuator's unit; its `scale`, `shape`,
-    `low` and `high` are then shares of the motor's range."""
+    """One number of an effect. If its unit begins with "unit" it is in the actuator's unit (that of q), and its
+    `scale`, `shape`, `low` and `high` are shares of the motor's range."""
 
     name: str
     unit: str
@@ -46,23 +46,25 @@ class Parameter:
     follows: str = ""  # column of motor.csv without whose motion it does nothing
 
     def share(self, span: float) -> float:
-        """What `scale` and `shape` count in: the motor's range `span` where the unit begins with "unit", else 1."""
+        """The factor from the unit of `scale`, `shape`, `low` and `high` to the parameter's own unit: the motor's range
+        `span`, unit of q, where the parameter's unit begins with "unit", else 1."""
         return span if self.unit.startswith("unit") else 1.0
 
     def limits(self, span: float) -> tuple[float, float]:
-        """The range in which a value means something, in the parameter's own unit. span: of the motor, unit of q."""
+        """(Low, high): the range in which a value is meaningful, in the parameter's own unit. span: the motor's range,
+        unit of q."""
         return self.low * self.share(span), self.high * self.share(span)
 
     def inside(self, value: float, span: float) -> float:
-        """The value clipped to its `limits`. span: of the motor, unit of q."""
+        """The value, in the parameter's own unit, clipped to `limits`. span: the motor's range, unit of q."""
         low, high = self.limits(span)
         return min(max(value, low), high)
 
 
 @dataclass(frozen=True)
 class Event:
-    """What makes an effect an event: it has no path that repeats and is identified by the statistics of its scatter
-    (diagnosis/scatter.py)."""
+    """The part of a descriptor that makes its effect an event: an effect without a path that repeats, which is
+    identified by the statistics of its scatter (diagnosis/scatter.py)."""
 
     amount: str  # name of the parameter of how much it scatters
     mean: str = ""  # name of the parameter of its mean effect, which has a path; "" where there is none
@@ -77,8 +79,8 @@ Slopes = Callable[[Model, Mapping[str, float], Array], Mapping[str, Array] | Non
 
 @dataclass(frozen=True)
 class Transform:
-    """The law in Python of an effect of another distribution (tautline.effects.outside). It is called only where one of
-    its amplitudes is not zero, and differentiated by differences."""
+    """The law in Python of an effect from another distribution (tautline.effects.outside). It is called only where one
+    of the effect's amplitudes is not zero, and it is differentiated by difference quotients."""
 
     place: Literal["input", "state", "output"]  # what it changes: q, the tip's p before f_remain, or c in deg
     run: Run
@@ -124,93 +126,99 @@ class Kind:
 
     @property
     def stage(self) -> str:
-        """Where it acts: one of STAGES, or SIMULATOR."""
+        """The stage at which the effect acts: one of STAGES, or SIMULATOR."""
         return self.id.split(".", 1)[0]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitudes, then shapes."""
+        """The effect's amplitudes, followed by its shapes."""
         return (*self.amplitudes, *self.shapes)
 
     @property
     def moments(self) -> tuple[str, ...]:
-        """Names of the parameters that are times of the session, s, at which it happens; each has as many amplitudes.
-        () of an effect that goes on."""
+        """Names of the parameters that are moments (s of the session) at which the effect happens; the amplitudes are
+        shared out evenly among them. () for an effect that acts continuously."""
         return tuple(p.name for p in self.shapes) if self.scan == "moment" else ()
 
     def happening(self, times: int) -> Kind:
-        """The same effect happening `times` times: with its first moments and their amplitudes alone."""
+        """The same effect restricted to its first `times` moments and the amplitudes of these. Only for an effect with
+        `moments`."""
         per_moment = len(self.amplitudes) // len(self.moments)
         return replace(self, amplitudes=self.amplitudes[: times * per_moment], shapes=self.shapes[:times])
 
     def only(self, names: Collection[str]) -> Kind:
-        """The same effect with the parameters of these names alone."""
+        """A copy of this descriptor that keeps only the parameters whose names are in `names`."""
         kept = [tuple(p for p in of if p.name in names) for of in (self.amplitudes, self.shapes)]
         return replace(self, amplitudes=kept[0], shapes=kept[1])
 
     def following(self, moving: Collection[str]) -> Kind:
-        """The same effect without the parameters that follow a column which is not among the `moving` ones."""
+        """A copy without the parameters that need a column of motor.csv (`Parameter.follows`) which is not in `moving`,
+        the names of the columns that vary."""
         return self.only([p.name for p in self.parameters if not p.follows or p.follows in moving])
 
     @property
     def forms(self) -> tuple[Kind, ...]:
-        """All descriptors with its id: itself, the simple one, and the one of a further joint's column, if it has
-        these."""
+        """All descriptors with this id: this one, its `simple` variant if there is one, and its variant for a further
+        joint's column (made with the name "") if there is one."""
         of_joint = self.of_joint and self.of_joint("")
         return tuple(form for form in (self, self.simple, of_joint) if form)
 
     def of_values(self, values: Mapping[str, Any]) -> Effect:
-        """The effect as a model has it, with those of its parameters that are among `values`, by name."""
+        """The entry `Effect` of a model: this id with the effect's own parameters, picked by name from `values` (others
+        are ignored), and the name of the column that it follows, if any."""
         own = {p.name: values[p.name] for p in self.parameters if p.name in values}
         return Effect(self.id, own | ({COLUMN: self.column} if self.column else {}))
 
     @property
     def through_angle(self) -> bool:
-        """Whether it changes the bending angle (as a simulator's parameters do too); else it changes only how, or when,
-        the tip is seen."""
+        """Whether the effect changes the bending angle, as those of the first three stages and of a simulator's
+        parameters do; the others change only how, or when, the tip is seen."""
         return self.stage in (SIMULATOR, *THROUGH_ANGLE)
 
     @property
     def bends(self) -> bool:
-        """Whether it changes c beside the play's centre p, so that c is not f_remain(p) alone: behind the transmission,
-        or by a load, which changes the angle's gain as well as the play."""
+        """Whether the effect changes the angle c other than through the play's centre p, so that c is no longer
+        f_remain(p): it acts behind the transmission, or goes with a load, which changes dc/df_remain as well as the
+        play."""
         return self.stage == "configuration" or self.needs == "load"
 
     @property
     def carried(self) -> bool:
-        """Whether a calibrated model may carry it beside B and f_remain: it changes the bending angle by a law that is
-        the same at all times, and is no part of the model's tables."""
+        """Whether a calibrated model may carry this effect beside B and f_remain: it changes the bending angle by a law
+        that is the same at all times, is neither a simulator's parameter nor a part of the nominal model, and no table,
+        rig or delay of the model holds it."""
         repeats = not (self.event or self.course or self.moments)
         behind_motor = self.needs != SIMULATOR
         return self.through_angle and behind_motor and repeats and not self.nominal and self.holds is None
 
     @property
     def on_board(self) -> bool:
-        """Whether a board with the corrected model's tables needs nothing else against it: it is held in these tables,
-        a section of them undoes it, or it only changes how the tip is seen. No event is: nothing undoes scatter."""
+        """Whether a board that has the corrected model's tables needs nothing else against the effect: the tables hold
+        it, a section of them undoes it, or it only changes how the tip is seen and is no event (nothing undoes
+        scatter)."""
         only_seen = self.stage in _SEEN and self.event is None
         return self.holds is not None or self.undone or only_seen
 
 
 def rigid_motion(prefix: str) -> tuple[Parameter, ...]:
-    """The six parameters of a rigid motion: PREFIX_rx, _ry, _rz, a turn as a rotation vector in deg, then PREFIX_x, _y,
-    _z, a move in mm, each with the change that a user would notice."""
+    """Makes the six parameters of a rigid motion: PREFIX_rx, _ry, _rz, a turn as a rotation vector, deg, then PREFIX_x,
+    _y, _z, a move, mm."""
     turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", _TURN_DEG) for axis in "xyz")
     move = tuple(Parameter(f"{prefix}_{axis}", "mm", _MOVE_MM) for axis in "xyz")
     return turn + move
 
 
 def simulator_id(parameter: str) -> str:
-    """The id of the effect that a simulator's declared `parameter` is another on the robot; its only parameter has the
-    same name."""
+    """The id "simulator.NAME" of the effect that a simulator's declared `parameter` has another value on the robot. The
+    effect's only parameter has the same id as its name."""
     return f"{SIMULATOR}.{parameter}"
 
 
 def of_simulator(
     parameter: str, unit: str = "", spread: float = 1.0, low: float = float("-inf"), high: float = float("inf")
 ) -> Kind:
-    """The effect that a simulator's declared `parameter` is another on the robot. unit: its own; spread: a change that
-    a user would notice; low, high: range of its change."""
+    """The effect of a simulator's declared `parameter` that has another value on the robot; its amplitude is the change
+    of that value. unit: of the parameter; spread: a change that a user would notice; low, high: range of the change."""
     name = simulator_id(parameter)
     return Kind(
         name,

@@ -17,9 +17,10 @@ from tautline.errors import TautError
 GROUP = "tautline.effects"
 
 
-def added(known: Sequence[Kind]) -> list[Kind]:
-    """The effects of all installed distributions, in the order of their entry points' names. known: the library's.
-    TautError where one cannot be used, or has an id or a parameter of another one."""
+def installed_effects(known: Sequence[Kind]) -> list[Kind]:
+    """Loads the effects of all installed distributions, in the order of their entry points' names. known: the library's
+    effects. TautError where an entry point cannot be loaded, or an effect is incomplete or shares an id or a
+    parameter's name with another one."""
     found: list[Kind] = []
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         for kind in _loaded(entry):
@@ -29,32 +30,35 @@ def added(known: Sequence[Kind]) -> list[Kind]:
 
 
 def _loaded(entry: EntryPoint) -> Sequence[Kind]:
-    """The descriptors of an entry point. TautError where it cannot be imported, or is no tuple of descriptors."""
+    """Imports an entry point and returns its descriptors. TautError where the import fails, or where it gives no tuple
+    of descriptors."""
     try:
         kinds = entry.load()
     except Exception as error:  # of somebody else's module: anything
         if _is_being_imported(entry):
             raise TautError(
-                f"{_named(entry)} cannot be taken while it is being imported: put 'import tautline.effects' before it"
+                f"{_entry_in_words(entry)} cannot be taken while it is being imported: put "
+                "'import tautline.effects' before it"
             ) from error
-        raise TautError(f"{_named(entry)} cannot be imported ({error}): mend or uninstall it") from error
+        raise TautError(f"{_entry_in_words(entry)} cannot be imported ({error}): mend or uninstall it") from error
     if not isinstance(kinds, tuple) or not all(isinstance(kind, Kind) for kind in kinds):
-        raise TautError(f"{_named(entry)} is no tuple of tautline.effects.Kind: mend or uninstall it")
+        raise TautError(f"{_entry_in_words(entry)} is no tuple of tautline.effects.Kind: mend or uninstall it")
     return kinds
 
 
 def _is_being_imported(entry: EntryPoint) -> bool:
-    """Whether an entry point's module is only half imported, as it is what imported tautline."""
+    """Whether Python is still executing the entry point's module: that module imported tautline, which now asks for
+    it."""
     return bool(getattr(getattr(sys.modules.get(entry.module), "__spec__", None), "_initializing", False))
 
 
 def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:
-    """TautError where an effect of another distribution is incomplete, claims what only the library can do, or has the
-    id or a parameter of one that is `known`."""
+    """Raises TautError where an effect of another distribution is incomplete, claims what only the library can do
+    (events, tables), or has the id or a parameter's name of one of the effects in `known`."""
 
     def refuse(why: str) -> TautError:
-        """The error, with what is wrong in words."""
-        return TautError(f"{_named(entry)}: {kind.id} {why}: mend or uninstall it")
+        """Makes (does not raise) the error, with the reason `why` in words."""
+        return TautError(f"{_entry_in_words(entry)}: {kind.id} {why}: mend or uninstall it")
 
     if kind.stage not in THROUGH_ANGLE or kind.id.count(".") != 1:
         raise refuse(f"is no STAGE.NAME of {', '.join(STAGES[:3])}")
@@ -71,7 +75,7 @@ def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:
         raise refuse(f"has a parameter {in_common[0]} that another effect has")
 
 
-def _named(entry: EntryPoint) -> str:
-    """An entry point and its distribution in words, for an error."""
+def _entry_in_words(entry: EntryPoint) -> str:
+    """Names an entry point and its distribution, for an error message."""
     distribution = entry.dist.name if entry.dist else "an unknown distribution"
     return f"the effects {entry.name} ({entry.value}) of {distribution}"

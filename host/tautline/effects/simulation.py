@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 # Names of parameters: of effects that move the tip in C; that change where it is seen; that are simulated by tables.
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)
-_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # descriptors of the latter
+_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # effects that are simulated by tables
 IN_TABLES = frozenset(p.name for kind in _TABLED for form in kind.forms for p in form.parameters)
 _TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)  # effects with a law in Python
 _BY_SIDE = tuple(p.name for p in BY_ID["registration.direction_dependent"].amplitudes)
@@ -32,7 +32,7 @@ _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)  # names o
 
 @dataclass(frozen=True)
 class Path:
-    """Where the tip is at n scene times. All (n,)."""
+    """The tip's simulated path at n scene times. All arrays are (n,)."""
 
     scene_s: Array
     translation_mm: Array | None  # of the instrument; None where it never moves
@@ -48,14 +48,14 @@ class Path:
 
 @dataclass(frozen=True)
 class ImagePath(Path):
-    """A path and where its marker is seen."""
+    """A path together with the image positions of its marker."""
 
     image_px: Array  # (n, 2), NaN without a camera
 
 
 def of_this_version(model: Model) -> tuple[Effect, ...]:
-    """The effects of a corrected model. TautError where the library does not know one of them, or not one of its
-    parameters."""
+    """Returns the model's effects after checking that this version's library knows each of them and each of their
+    parameters; TautError where it does not."""
     for effect in model.effects:
         kind = BY_ID.get(effect.id)
         if kind is None:
@@ -67,9 +67,9 @@ def of_this_version(model: Model) -> tuple[Effect, ...]:
 
 
 def of_model(model: Model, scatter: bool = False) -> dict[str, Any]:
-    """The parameters, by name, with which a corrected model is simulated: those of its effects that its tables, rig and
-    delay do not hold already. scatter: whether events are a random course (stick-slip) instead of their mean effect.
-    TautError as `of_this_version`."""
+    """The parameters, by name, that `simulate` needs for a corrected model: those of its effects that its tables, rig
+    and delay do not hold already. scatter: of each event take its random course (its amount) and leave out its mean
+    effect; by default the other way round. TautError as `of_this_version`."""
     return {
         name: value
         for effect in of_this_version(model)
@@ -88,11 +88,12 @@ def simulate(
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
 ) -> ImagePath:
-    """The simulated path and image of a model with effects at scene times (n,), s, in any order. parameters: of the
-    effects, by the names of LIBRARY. motor: its samples are knots of straight lines as they are (tautline.encoder takes
-    an encoder's steps out). start_deg: the bending angle at first; default where the play's centre is at the motor.
-    load_reference: mNm at which the model's tables hold. clock_offset_s: added to times where an effect depends on the
-    session's time (drift, shift). Of random effects, stick-slip is one course, jitter is left out."""
+    """Simulates a model with effects: its path and image at scene times (n,), s, in any order. parameters: of the
+    effects, by the names in LIBRARY. motor: q is interpolated linearly between its samples (tautline.encoder takes an
+    encoder's steps out before). start_deg: the bending angle at the first time; by default the play's centre starts at
+    the motor. load_reference: mNm at which the model's tables hold. clock_offset_s: added to the times to get the
+    session's, for effects that depend on it (drift, shift). Of the random effects stick-slip is simulated as one
+    course, jitter is not."""
     path = follow(model, motor, scene_s, parameters, start_deg, load_reference, clock_offset_s)
     px = image(model, path, parameters, clock_offset_s) if model.rig.has_camera else np.full((len(path.p), 2), np.nan)
     return ImagePath(**{f.name: getattr(path, f.name) for f in fields(Path)}, image_px=px)
@@ -108,9 +109,9 @@ def follow(
     clock_offset_s: float = 0.0,
     clock_begin_s: float | None = None,
 ) -> Path:
-    """The path alone, with the arguments of `simulate`. The effects "delay" and "clock_rate" shift the scene times.
-    clock_begin_s: when the sensor's clock and the motor's agree, by default at the motor's first knot. TautError where
-    a law of another distribution gives no numbers."""
+    """The path without the image; arguments as for `simulate`. The parameters "delay" (s) and "clock_rate" (s/s) move
+    the scene times before anything else. clock_begin_s: the time at which the sensor's clock and the motor's agree, by
+    default the motor's first sample. TautError where a law of another distribution gives no finite numbers."""
     model = tabled(model, parameters)
     outside = [kind for kind in _TRANSFORMED if any(parameters.get(p.name) for p in kind.amplitudes)]
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
@@ -119,18 +120,20 @@ def follow(
     order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
     rising = scene if order is None else scene[order]
     if outside:
-        path = _transformed(outside, model, motor, rising, parameters, start_deg, load_reference, clock_offset_s)
+        path = _path_with_python_laws(
+            outside, model, motor, rising, parameters, start_deg, load_reference, clock_offset_s
+        )
     else:
-        path = _moved(model, motor, rising, parameters, start_deg, load_reference, clock_offset_s)
-    return path if order is None else _at(path, np.argsort(order, kind="stable"))
+        path = _native_path(model, motor, rising, parameters, start_deg, load_reference, clock_offset_s)
+    return path if order is None else _samples_of_path(path, np.argsort(order, kind="stable"))
 
 
-def _at(path: Path, which: npt.NDArray[np.int64]) -> Path:
-    """The path at these indices (m,)."""
+def _samples_of_path(path: Path, which: npt.NDArray[np.int64]) -> Path:
+    """The path's samples with these indices (m,), in their order."""
     return Path(*(None if values is None else values[which] for values in vars(path).values()))  # type: ignore[arg-type]
 
 
-def _transformed(
+def _path_with_python_laws(
     outside: list[Kind],
     model: Model,
     motor: Motor,
@@ -140,12 +143,14 @@ def _transformed(
     load_reference: float,
     clock_offset_s: float,
 ) -> Path:
-    """As `_moved`, with the laws in Python of the effects `outside`, which are run at every knot of the motor and at
-    every scene time. Their derivatives are not in `gain`, so that steps of a fit's nominal model are less exact."""
+    """As `_native_path`, with the Python laws of the effects `outside` applied in their places (input, state, output).
+    They are evaluated at every motor sample and scene time. `gain` does not contain their derivatives, so a fit's steps
+    of the nominal model are less exact."""
     times = np.union1d(motor.t_s, rising)
 
     def through(place: str, values: Array) -> Array:
-        """Values (n,) at `times` after all laws that stand at this place, in order."""
+        """Values (n,) at `times` after applying, one after the other, all laws whose place is `place`. TautError where
+        a law gives another shape or numbers that are not finite."""
         for kind in outside:
             if kind.transform and kind.transform.place == place:
                 own = {p.name: float(parameters[p.name]) for p in kind.parameters if p.name in parameters}
@@ -156,14 +161,15 @@ def _transformed(
 
     q = through("input", np.interp(times, motor.t_s, motor.q))
     driven = motor.resampled(times, q, motor.extra)
-    path = _moved(model, driven, times, parameters, start_deg, load_reference, clock_offset_s)
+    path = _native_path(model, driven, times, parameters, start_deg, load_reference, clock_offset_s)
     tip = through("state", path.tip)
+    # The library's effects behind f_remain are kept, to first order: c moves by dc/df_remain times f_remain's change.
     c_deg = path.c_deg + path.gain * (model.remaining(tip) - model.remaining(path.tip))
     path = replace(path, tip=tip, c_deg=through("output", c_deg))
-    return _at(path, np.searchsorted(times, rising))
+    return _samples_of_path(path, np.searchsorted(times, rising))
 
 
-def _moved(
+def _native_path(
     model: Model,
     motor: Motor,
     rising: Array,
@@ -172,7 +178,7 @@ def _moved(
     load_reference: float,
     clock_offset_s: float,
 ) -> Path:
-    """The path at rising scene times (n,), s, by the library's own laws in C alone; arguments as in `simulate`."""
+    """The path at rising scene times (n,), s, by the library's own laws, in C; other arguments as in `simulate`."""
     moved = _native.simulate_effects(
         {name: value for name, value in parameters.items() if name in NATIVE},
         model.play.native,
@@ -195,8 +201,9 @@ _recent: tuple[tuple[Model, dict[str, Any], Model], ...] = ()
 
 
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
-    """The model with the effects that are simulated by tables (IN_TABLES) put into its B and f_remain; the last few
-    results are kept. parameters: of all effects, by name."""
+    """Puts the effects that are simulated by tables (IN_TABLES) into the model's B and f_remain; returns the model
+    itself where there are none. parameters: of all effects, by name. The last _RECENT results are cached, by the
+    model's identity."""
     present = [kind for kind in _TABLED if any(p.name in parameters for form in kind.forms for p in form.amplitudes)]
     if not present:
         return model
@@ -214,14 +221,14 @@ def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
 
 
 def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0) -> Array:
-    """(n, 2) px: where the marker of a path is seen, with the effects of kinematics, registration and camera.
-    clock_offset_s: from the path's times to the session's, for a shift."""
+    """(n, 2) px: the image positions of a path's marker, with the effects of kinematics, registration and camera.
+    clock_offset_s: added to the path's times to get the session's, for a shift."""
     return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
 
 
 def bends_alone(before: Path, after: Path, parameters: Mapping[str, Any]) -> bool:
-    """Whether what is seen of two paths differs by the bending angle alone: at the same times, and to the same sides
-    of the channel where these count."""
+    """Whether the images of two paths can differ only through the bending angle: they are at the same times, and where
+    the registration depends on the direction also to the same sides of the channel."""
     same_side = not any(parameters.get(name) for name in _BY_SIDE) or np.array_equal(before.way, after.way)
     return same_side and np.array_equal(before.scene_s, after.scene_s)
 
@@ -234,9 +241,9 @@ def see(
     rotation_deg: npt.ArrayLike,
     parameters: Mapping[str, Any],
 ) -> Array:
-    """(n, 2) px: where the marker is seen at bending angles c_deg (n,), with the effects as in `image`, but for a shift
-    of the registration, which would need times. way (n,): to which side the instrument lies in its channel, -1 to 1;
-    translation_mm, rotation_deg: of the instrument, (n,) or one number."""
+    """(n, 2) px: the marker's image positions at bending angles c_deg (n,), with the effects as in `image`, except that
+    a shift of the registration is left out, as it would need times. way (n,): the side of the channel on which the
+    instrument lies, -1 to 1; translation_mm, rotation_deg: of the instrument, (n,) or one number each."""
     each = np.ones(len(c_deg))
     translation, rotation = each * np.asarray(translation_mm), each * np.asarray(rotation_deg)
     known, rig = _of_projection(parameters), projection_rig(model.rig)
@@ -246,18 +253,19 @@ def see(
 def image_with_slopes(
     model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """(The image (n, 2) px; d image / dc (n, 2) px per deg; d image / d a further static registration (n, 2, 6): px per
-    deg of its turn about x, y, z, then per mm of its move)."""
+    """(The image (n, 2), px; its derivative by the bending angle c (n, 2), px per deg; its derivatives by a further
+    static registration (n, 2, 6), px per deg of its turn about x, y, z, then px per mm of its move along them)."""
     return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
 
 
 def _of_projection(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the parameters, by name, that change how the tip is seen (PROJECTION)."""
+    """The parameters, by name, that change how the tip is seen (those in PROJECTION)."""
     return {name: value for name, value in parameters.items() if name in PROJECTION}
 
 
 def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float, slopes: bool) -> Any:
-    """The result of `image`, or with `slopes` that of `image_with_slopes`."""
+    """Calls the projection in C: returns what `image` returns, or with `slopes` what `image_with_slopes` returns.
+    Frames at or after "shift_time" are seen with the shifted registration."""
     shifted = None
     if "shift_time" in parameters:
         shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)

@@ -16,25 +16,27 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RangeSpline:
-    """A cubic spline of `pieces` over the range, constant beyond it. Its coefficients are the effect's parameters
-    PREFIX_0 .., in the unit of what it is added to."""
+    """A cubic spline of `pieces` equal pieces over the motor's range, constant beyond it. Its coefficients are the
+    effect's parameters PREFIX_0, PREFIX_1 and so on, in the unit of the curve that it is added to."""
 
     prefix: str
     pieces: int
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the coefficients, in order."""
+        """The names of the pieces + 3 coefficients, in order."""
         return tuple(f"{self.prefix}_{i}" for i in range(self.pieces + 3))
 
     def on_grid(self, model: Model, values: Mapping[str, float]) -> Array:
-        """(grid,) The curve at the nodes of the model's tables; coefficients that `values` does not name are 0."""
+        """(grid,) The curve's values at the nodes of the model's tables; coefficients that are not in `values` are
+        0."""
         return self._basis(model).table(np.array([values.get(name, 0.0) for name in self.names]), model.q)
 
     def slopes(self, model: Model, p: Array) -> dict[str, Array]:
-        """By coefficient's name, (n,): the derivative by it of the curve at p (n,), looked up linearly in a table."""
+        """{name of a coefficient: (n,) derivative of the curve by it at the places p (n,), unit of q}. Interpolated
+        linearly between the nodes of the model's tables, as the curve itself is."""
         return dict(zip(self.names, self._basis(model).between(model.q, p).T, strict=True))
 
     def _basis(self, model: Model) -> Basis:
-        """The spline's basis, its pieces spread evenly over the motor's range."""
+        """The basis of this spline, with its pieces evenly spread over the motor's range."""
         return Basis(*model.rig.actuator.range, self.pieces)

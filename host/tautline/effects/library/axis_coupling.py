@@ -8,8 +8,8 @@ _ID, _SAYS = "configuration.axis_coupling", "another degree of freedom moves the
 
 
 def _of_joint(column: str) -> Kind:
-    """The effect of another joint of the same robot, whose angle is in this column of motor.csv, through a backlash of
-    its own."""
+    """The descriptor for another joint of the same robot whose angle, through a backlash of its own, moves the bending
+    angle. column: the joint's column of motor.csv."""
     return Kind(
         _ID,
         (Parameter("c_per_joint", "deg", 0.05),),

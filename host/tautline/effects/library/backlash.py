@@ -19,9 +19,10 @@ _AT_MOTOR = "width_at_motor"  # 1: the change goes with the motor, as a worn par
 _STEPS = 6  # tolerance: of a fixed-point iteration, which contracts as |d added / dq| / 2 < 1
 
 
-def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with another B: times 1 + width_scale, plus width_everywhere, plus the spline with coefficients width_0
-    .., unit of q, over the play's centre or, with width_at_motor, over the motor's position. session_s is not used."""
+def _with_width(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with another B, unit of q: times 1 + width_scale, plus width_everywhere, plus a spline with the
+    coefficients width_0, width_1 and so on. The spline is a function of the play's centre or, with width_at_motor, of
+    the motor's position. session_s is not used."""
     added = _SPLINE.on_grid(model, values)
     width = model.width * max(0.0, 1.0 + values.get(_SCALE, 0.0)) + values.get(_EVERYWHERE, 0.0)
     if not values.get(_AT_MOTOR, 0.0):
@@ -29,9 +30,9 @@ def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -
     return _with_width_at_motor(model, width, added)
 
 
-def _slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str, Array] | None:
-    """By amplitude's name, (n,): the derivative by it of B at the play's centres p (n,), unit of q. None with
-    width_at_motor: B over p then depends on the amplitudes through where each wall is reached, not linearly."""
+def _width_slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str, Array] | None:
+    """{name of an amplitude: (n,) derivative of B, unit of q, by it at the play's centres p (n,), unit of q}. None with
+    width_at_motor: B as a function of p is then not linear in the amplitudes."""
     if values.get(_AT_MOTOR, 0.0):
         return None
     everywhere = {_SCALE: np.interp(p, model.q, model.width), _EVERYWHERE: np.ones_like(p)}
@@ -39,9 +40,9 @@ def _slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str,
 
 
 def _with_width_at_motor(model: Model, width: np.ndarray, added: np.ndarray) -> Model:
-    """The model with B(p) = width (grid,), to which `added` (grid,) of the motor's position q is added where either
-    wall of the play is reached: each wall solves q = p + s (width(p) + added(q)) / 2, s = +-1. As both walls then move
-    unlike, the play's centre shifts, and f_remain with it."""
+    """The model with a B that depends on the motor's position q as well: each wall of the play is at q = p + s
+    (width(p) + added(q)) / 2, s = +1 or -1, solved by fixed-point iteration. The two walls then move by different
+    amounts, so the play's centre shifts, and f_remain is shifted with it. width, added: (grid,), unit of q."""
     walls = []
     for side in (1.0, -1.0):
         wall = model.q + side * 0.5 * width
@@ -63,9 +64,9 @@ _KIND = Kind(
     says="the backlash is not the model's",
     tell="Every reversal at one place is wider or narrower than the model's B there, by the same amount each time.",
     mend="Re-tension the tendon as it was, or calibrate again: that is all it takes.",
-    holds=_in_the_table,
+    holds=_with_width,
     in_tables="width",
-    slopes=_slopes,
+    slopes=_width_slopes,
     nominal=True,
     posture=True,
     curve=_SPLINE.names,

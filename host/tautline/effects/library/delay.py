@@ -7,8 +7,8 @@ from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model
 
 
-def _later(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model whose sensor is `delay`, s, later than it was. session_s is not used."""
+def _with_later_sensor(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with `delay`, s, added to its sensor's delay. session_s is not used."""
     return replace(model, delay_s=model.delay_s + values["delay"])
 
 
@@ -21,7 +21,7 @@ EFFECTS = (
         "it.",
         mend="Put the measured delay into the rig: calibration does.",
         needs="sensor",
-        holds=_later,
+        holds=_with_later_sensor,
         law=True,
         nominal=True,
     ),

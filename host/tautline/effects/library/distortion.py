@@ -11,13 +11,13 @@ _NAMES = ("k1", "k2", "p1", "p2", "k3")
 
 
 def distorted(camera: Camera, values: Mapping[str, float]) -> Camera:
-    """The camera with the coefficients k1 .. k3 of the effect added to those of its own distortion."""
+    """The camera with the effect's coefficients k1, k2, p1, p2, k3 (0 where `values` has none) added to its own."""
     k1, k2, p1, p2, k3 = (own + values.get(name, 0.0) for own, name in zip(camera.distortion, _NAMES, strict=True))
     return replace(camera, distortion=(k1, k2, p1, p2, k3))
 
 
-def _in_the_rig(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with the effect's distortion added to its rig's camera. session_s is not used."""
+def _with_distortion(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with the effect's distortion added to its rig's camera, which must exist. session_s is not used."""
     rig = model.rig
     assert rig.camera
     return replace(model, rig=replace(rig, camera=distorted(rig.camera, values)))
@@ -35,7 +35,7 @@ EFFECTS = (
         tell="The gap grows towards the picture's corners, whatever the motor does.",
         mend="Calibrate the camera again, with the whole picture covered.",
         needs="camera",
-        holds=_in_the_rig,
+        holds=_with_distortion,
         leaves="lens",
     ),
 )

@@ -9,16 +9,17 @@ from tautline.model import Model, allowed_width
 
 
 def _effective_time(values: Mapping[str, float], session_s: float) -> float:
-    """How long, s, a drift has gone on at its first rate: T = session_s - drift_from, or, where its rate decays as
-    exp(-drift_decay t), (1 - exp(-drift_decay T)) / drift_decay; 0 before drift_from."""
+    """The time, s, in which a drift at its initial rate would have gone as far as it has at session_s. With T =
+    session_s - drift_from it is T, or (1 - exp(-drift_decay T)) / drift_decay where the rate decays as exp(-drift_decay
+    T); 0 before drift_from."""
     decay = values.get("drift_decay", 0.0)
     since = max(0.0, session_s - values.get("drift_from", 0.0))
     return -math.expm1(-decay * since) / decay if decay > 0.0 else since
 
 
-def _drifted(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model at session_s, s: q lowered by offset_drift T and B times 1 + width_drift T, with the effective time
-    T."""
+def _with_drift(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model as it is at session_s, s: q lowered by offset_drift T and B multiplied by 1 + width_drift T (at least
+    0), with T from `_effective_time`."""
     time_s = _effective_time(values, session_s)
     width = allowed_width(model.q, model.width * max(0.0, 1.0 + values["width_drift"] * time_s))
     offset, (low, high) = values["offset_drift"] * time_s, model.measured
@@ -37,7 +38,7 @@ EFFECTS = (
         material=True,
         tell="The gap grows with time, whatever the motion is, also with the motor at one place again.",
         mend="Warm the instrument up, check the tendon's clamps, calibrate again; taut track follows it while in use.",
-        holds=_drifted,
+        holds=_with_drift,
         course=_effective_time,
     ),
 )

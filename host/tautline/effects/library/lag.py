@@ -11,8 +11,8 @@ Array = npt.NDArray[np.float64]
 
 
 def width_by_drag(values: Mapping[str, float], speed: Array) -> Array:
-    """(n,) unit of q: by how much a tip that moves at speeds (n,), unit of q per s, is further behind one way than the
-    other by drag beside friction (lag_held), as by a width that grows with speed."""
+    """(n,) The width, unit of q, that viscous drag beside friction (lag_held) seems to add at speeds (n,), unit of q
+    per s: 2 lag (1 - lag_second) speed, as the tip trails by half of it in either direction."""
     return np.asarray(2.0 * values["lag"] * (1.0 - values.get("lag_second", 0.0)) * speed)
 
 

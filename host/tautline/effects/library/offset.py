@@ -7,9 +7,9 @@ from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model
 
 
-def _in_the_tables(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with its q lowered by `offset`, unit of q; with offset_at_tip f_remain is shifted instead, by the
-    offset times its mean slope, deg. session_s is not used."""
+def _with_offset(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with its q lowered by `offset`, unit of q. With offset_at_tip q stays and f_remain is shifted instead,
+    by offset times its mean slope, deg. session_s is not used."""
     low, high = model.measured
     offset = values["offset"]
     if values.get("offset_at_tip", 0.0):
@@ -27,7 +27,7 @@ EFFECTS = (
         tell="The whole characteristic lies shifted along q, both branches alike, since a posture, a re-tensioning or "
         "a homing.",
         mend="Home the axis again, or calibrate in this posture.",
-        holds=_in_the_tables,
+        holds=_with_offset,
         nominal=True,
         posture=True,
         each=True,

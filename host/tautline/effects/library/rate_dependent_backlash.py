@@ -16,14 +16,16 @@ _FOLLOWS_S = 0.02  # format: what speed_time is where a model has none, as in th
 
 
 def follows_s(values: Mapping[str, float]) -> float:
-    """Time, s, in which the width follows the speed. values: the effect's parameters."""
+    """The time constant, s, with which the width follows the speed: the effect's parameter speed_time, or _FOLLOWS_S
+    where `values` has none."""
     return values.get("speed_time", _FOLLOWS_S)
 
 
 def added_width(values: Mapping[str, float], grid: float, speed: Array) -> Array:
-    """(n,) unit of q: what speeds (n,), unit of q per s, add to the width once it follows them, as
-    host/native/effects/rate_dependent_backlash.c does. values: the effect's parameters; grid: length of the model's
-    grid."""
+    """(n,) unit of q: what speeds (n,), unit of q per s, add to the width once it has followed them. It is
+    width_per_speed u g(speed / u), at least 0, with u = _USUAL grid per s and, for k = speed_saturation, g(x) = x (k =
+    0), (1 - exp(-k x)) / (1 - exp(-k)) (k > 0) or log(1 + (exp(-k) - 1) x) / -k (k < 0); as
+    host/native/effects/rate_dependent_backlash.c does. grid: length of the model's grid, unit of q."""
     usual = _USUAL * grid
     relative, k = speed / usual, values.get("speed_saturation", 0.0)
     if k == 0.0:

@@ -16,9 +16,9 @@ from tautline.rig import HandEye
 def with_registration(
     model: Model, values: Mapping[str, float], session_s: float = 0.0, prefix: str = "static"
 ) -> Model:
-    """The model with a turn and a move in its rig's hand-eye transform: X_cam = R (Exp(turn) X + move) + t. values:
-    PREFIX_rx .. PREFIX_rz, the turn as a rotation vector, deg, PREFIX_x .. PREFIX_z, the move, mm. session_s is not
-    used."""
+    """The model with its rig's hand-eye transform changed to X_cam = R (Exp(turn) X + move) + t. values: PREFIX_rx,
+    _ry, _rz, the turn as a rotation vector in deg, and PREFIX_x, _y, _z, the move in mm; missing ones are 0. Returns
+    the model itself without a hand-eye transform or without values. session_s is not used."""
     rig = model.rig
     if rig.hand_eye is None or not values:
         return model
@@ -31,8 +31,8 @@ def with_registration(
     return replace(model, rig=replace(rig, hand_eye=hand_eye))
 
 
-def _shifted(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with the registration's shift, if session_s, s, is not before shift_time."""
+def _with_shift(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with the registration shifted if session_s is shift_time, s, or later; before it the model itself."""
     return with_registration(model, values, prefix="shift") if session_s >= values["shift_time"] else model
 
 
@@ -71,7 +71,7 @@ EFFECTS = (
         tell="At one moment the whole track moves in the image and stays there.",
         mend="Fix camera and instrument to each other and calibrate again.",
         needs="camera",
-        holds=_shifted,
+        holds=_with_shift,
         law=True,
         scan="moment",
     ),

@@ -16,14 +16,14 @@ _PIECES = 66  # prior: of a cubic spline over the motor's range: follows an obst
 _SPLINE = RangeSpline("remaining", _PIECES)
 
 
-def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with a spline over p, coefficients remaining_0 .. in deg, added to f_remain, which stays monotone.
-    session_s is not used."""
+def _with_remaining(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with a spline over p (coefficients remaining_0, remaining_1 and so on, deg) added to f_remain; the sum
+    is made monotone. session_s is not used."""
     return replace(model, c_deg=monotone(model.c_deg + _SPLINE.on_grid(model, values)))
 
 
-def _slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str, Array]:
-    """By amplitude's name, (n,): the derivative by it of f_remain, deg, at the play's centres p (n,), unit of q."""
+def _remaining_slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str, Array]:
+    """{name of an amplitude: (n,) derivative of f_remain, deg, by it at the play's centres p (n,), unit of q}."""
     return _SPLINE.slopes(model, p)
 
 
@@ -34,9 +34,9 @@ EFFECTS = (
         says="the static law f_remain is not the model's",
         tell="The gap is a curve over q alone, the same both ways and at all speeds.",
         mend="Calibrate again over the whole range.",
-        holds=_in_the_table,
+        holds=_with_remaining,
         in_tables="remaining",
-        slopes=_slopes,
+        slopes=_remaining_slopes,
         nominal=True,
         posture=True,
         curve=_SPLINE.names,

@@ -10,7 +10,8 @@ _TIMES = range(1, 5)  # format: of the parameters' names, as in slip.c: it may s
 
 
 def _with_slips(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model at session_s, s: q lowered by the sum of all slips, unit of q, that happened until then."""
+    """The model as it is at session_s, s: q lowered by the sum, unit of q, of all slips whose time is not after
+    session_s."""
     slipped = sum(values.get(f"slip_{i}", 0.0) for i in _TIMES if values.get(f"slip_time_{i}", 0.0) <= session_s)
     low, high = model.measured
     return replace(model, q=model.q - slipped, measured=(low - slipped, high - slipped))
