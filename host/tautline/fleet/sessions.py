@@ -84,8 +84,10 @@ def sessions_in(folder: Path) -> list[Session]:
     if not folder.is_dir():
         raise TautError(f"{folder}: there is no such folder: a fleet is a folder ROBOT/SESSION of recordings")
     batches = _batches(folder / MANIFEST)
-    found = [each for robot in _folders(folder) for each in _sessions_of_robot(folder, robot, batches.get(robot.name))]
-    if not any(_recordings(each.folder) for each in found):
+    found = [
+        session for robot in _folders(folder) for session in _sessions_of_robot(folder, robot, batches.get(robot.name))
+    ]
+    if not any(_recordings(session.folder) for session in found):
         raise TautError(f"{folder}: no session is in it: lay recordings out as {folder.name}/ROBOT/SESSION/{MOTOR}")
     return found
 

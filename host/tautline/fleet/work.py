@@ -63,7 +63,8 @@ def _with_calibration(row: Row, calibration: Calibration) -> Row:
         """The values (grid,) on the model's grid, interpolated at `places`; () for None."""
         return () if values is None else tuple(np.interp(places, model.q, values).tolist())
 
-    path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2  # (grid, coordinates); none without a path
+    # (grid, coordinates) each, with no coordinates if the calibration has no path
+    path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2
 
     return replace(
         row,
