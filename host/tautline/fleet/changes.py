@@ -45,8 +45,10 @@ def with_changes(rows: Sequence[Row]) -> list[Row]:
     levels = [_levels(robot) for robot in robots]
     scatter = common_scatter(each for each in levels if each is not None)
     changed_rows = []
-    for robot, known in zip(robots, levels, strict=True):
-        changed_rows += _without_changes(robot) if known is None else _with_robot_changes(robot, known, scatter)
+    for robot, robot_levels in zip(robots, levels, strict=True):
+        changed_rows += (
+            _without_changes(robot) if robot_levels is None else _with_robot_changes(robot, robot_levels, scatter)
+        )
     return changed_rows
 
 
@@ -101,20 +103,20 @@ def _without_changes(robot: Sequence[Row]) -> list[Row]:
     ]
 
 
-def _with_robot_changes(robot: Sequence[Row], known: _Levels, scatter: float) -> list[Row]:
+def _with_robot_changes(robot: Sequence[Row], robot_levels: _Levels, scatter: float) -> list[Row]:
     """The robot's rows with the columns that compare sessions. Every row gets `wear`, the slope of log B a session
     (None with a single usable session). Each usable row after the first also gets the change since the first usable
-    one: `width_change`, a share of B, and `offset_change`, unit of q. known: the robot's levels; scatter: as in
+    one: `width_change`, a share of B, and `offset_change`, unit of q. robot_levels: its levels of B; scatter: as in
     `_Levels.line`."""
-    first = robot[known.at[0]]
+    first = robot[robot_levels.at[0]]
     wear = wear_sigma = None
-    if len(known.at) > 1:
-        values, covariance, _ = known.line(scatter)
+    if len(robot_levels.at) > 1:
+        values, covariance, _ = robot_levels.line(scatter)
         wear, wear_sigma = float(values[1]), float(np.sqrt(covariance[1, 1]))
     changed_rows = [replace(row, wear=wear, wear_sigma=wear_sigma) for row in _without_changes(robot)]
-    for k, level, sigma in zip(known.at[1:], known.level[1:], known.sigma[1:], strict=True):
-        ratio = float(np.exp(level - known.level[0]))  # of mean B to the first one's
-        log_sigma = float(np.hypot(sigma, known.sigma[0]))
+    for k, level, sigma in zip(robot_levels.at[1:], robot_levels.level[1:], robot_levels.sigma[1:], strict=True):
+        ratio = float(np.exp(level - robot_levels.level[0]))  # of mean B to the first one's
+        log_sigma = float(np.hypot(sigma, robot_levels.sigma[0]))
         changed_rows[k] = replace(
             changed_rows[k],
             since=first.session,

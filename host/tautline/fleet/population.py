@@ -95,8 +95,8 @@ class Population:
         """(n,) Squared Mahalanobis distance of each curve from the mean, with the covariance `scale` + `curves.noise`.
         For a usual robot of this fleet it is about the number of places that say anything (`Curves.dimensions`); in the
         tail it is larger."""
-        off = curves.value - self.mean
-        return np.asarray(np.einsum("nk,nk->n", off, _solve_each(self.scale + curves.noise, off)))
+        deviation = curves.value - self.mean
+        return np.asarray(np.einsum("nk,nk->n", deviation, _solve_each(self.scale + curves.noise, deviation)))
 
     def chance(self, curves: Curves) -> Array:
         """(n,) The p-value of each curve: the probability that a robot of this fleet is at least as far from the mean.
@@ -241,17 +241,18 @@ def _fit_mean_and_scatter(curves: Curves, freedom: float) -> tuple[Array, Array]
     mean = _smoothed_mean(mean, scale, 1.0 / np.sum(precision, axis=0))
     size = curves.dimensions
     for _ in range(_STEPS):
-        off = curves.value - mean
+        deviation = curves.value - mean
         inverse = np.linalg.inv(scale + noise)
-        pulled = np.einsum("nkl,nl->nk", inverse, off)
-        # Expectation. The normal posterior of b_s is that of a Kalman update; `tail` is small for a robot far off.
-        tail = (freedom + size) / (freedom + np.einsum("nk,nk->n", off, pulled))  # (n,) E[u_s]
-        own = mean + pulled @ scale  # (n, k) E[b_s]
-        uncertain = weight.sum() * scale - scale @ np.einsum("n,nkl->kl", weight, inverse) @ scale  # sum of Cov[b_s]
+        weighted_deviation = np.einsum("nkl,nl->nk", inverse, deviation)
+        # Expectation: E[u_s] is small for a robot that is far off; b_s has the normal posterior of a Kalman update.
+        expected_u = (freedom + size) / (freedom + np.einsum("nk,nk->n", deviation, weighted_deviation))
+        own = mean + weighted_deviation @ scale  # (n, k) E[b_s]
+        # Sum over the sessions of weight times Cov[b_s] = S - S (S + noise)^-1 S.
+        posterior_covariance = weight.sum() * scale - scale @ np.einsum("n,nkl->kl", weight, inverse) @ scale
         # Maximisation.
-        mean = (weight * tail) @ own / (weight @ tail)
+        mean = (weight * expected_u) @ own / (weight @ expected_u)
         apart = own - mean
-        spread = (weight * tail * apart.T) @ apart + uncertain
+        spread = (weight * expected_u * apart.T) @ apart + posterior_covariance
         scale = 0.5 * (spread + spread.T) / weight.sum()
     return mean, scale
 
