@@ -49,7 +49,7 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
     unit counts."""
     unit = first.rig.actuator.unit
     table = Table(box=None, pad_edge=False)
-    fine, per_unit = figures.finer(unit)
+    fine, per_unit = figures.fine_unit(unit)
     columns = {  # by title: key of a row, factor to the title's unit
         "model": ("model", 1.0),
         f"B mean ({unit})": ("width_mean", 1.0),

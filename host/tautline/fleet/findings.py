@@ -257,9 +257,9 @@ def _unlike_robots(rows: Sequence[Row]) -> list[Named]:
         curves = log_widths(list({row.robot: row for row in rows if row.usable}.values()))
     except TautError:  # too few robots: nothing is usual
         return []
-    known = population(curves)
-    p_values = known.chance(curves)
-    distance = known.distance(curves) / np.maximum(curves.dimensions, 1.0)
+    spread_of_fleet = population(curves)
+    p_values = spread_of_fleet.chance(curves)
+    distance = spread_of_fleet.distance(curves) / np.maximum(curves.dimensions, 1.0)
     found = [
         Named(name, float(1.0 - p), float(d), float("nan"))
         for name, p, d in zip(curves.names, p_values, distance, strict=True)
