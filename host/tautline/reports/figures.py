@@ -243,7 +243,7 @@ def stage_errors(evidence: Evidence) -> Figure:
         )
     ax.set(xlabel="time (s)", ylabel=f"distance ({evidence.unit})")
     ax.set_title("How far each model is from what was seen")
-    _legend_above(ax, 3, markerscale=4)
+    _put_legend_above(ax, 3, markerscale=4)
     return made
 
 
@@ -286,7 +286,7 @@ def recorded_motion(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str
                 color=colour,
                 label=f"onset {'used' if used else 'not used'} ({len(times)})",
             )
-    _legend_above(axes[0, 0], 2)
+    _put_legend_above(axes[0, 0], 2)
     axes[0, 0].set_title("What was recorded")
     axes[1, 0].set_xlabel("time (s)")
     return made
@@ -371,7 +371,7 @@ def residuals(evidence: Evidence, motor_unit: str) -> Figure:
     axes[0, 0].set_title("Residuals of f_remain + B")
     axes[0, 1].set_xlabel(f"q ({motor_unit})")
     if len(names) > 1:
-        _legend_above(axes[0, 0], 2, markerscale=5)
+        _put_legend_above(axes[0, 0], 2, markerscale=5)
     return made
 
 
@@ -420,7 +420,7 @@ def followed_runs(runs: Mapping[str, Run]) -> Figure:
     bottom.set(xlabel="time (s)", ylabel="off by (deg)")
     bottom.set_title("Tracking error")
     for ax in (top, bottom):
-        _legend_above(ax, 4)
+        _put_legend_above(ax, 4)
     return made
 
 
@@ -507,11 +507,11 @@ def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
     bottom.set(xlabel="time (ms)", ylabel="off by (counts)")
     bottom.set_title("Following error")
     for ax in (top, bottom):
-        _legend_above(ax, 5)
+        _put_legend_above(ax, 5)
     return made
 
 
-def _legend_above(ax: Axes, columns: int, markerscale: float | None = None) -> None:
+def _put_legend_above(ax: Axes, columns: int, markerscale: float | None = None) -> None:
     """Puts the legend, in this many columns, above the axes' upper right corner, where it hides nothing. markerscale:
     size of its markers relative to those in the picture; None: matplotlib's default."""
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, markerscale=markerscale, borderaxespad=0.1)

@@ -94,7 +94,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     runs = Run.load_all(folder)
     page: dict[str, Any] = {
         "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
-        "source": _source(model, evidence),
+        "source": _source_line(model, evidence),
         "quality": model.quality.to_json(),
         "reasons": [
             {"code": r.code, "says": r.says, "remedy": r.remedy, "topic": topics().get(r.code)}
@@ -102,7 +102,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         ],
         "camera": _camera_picture(folder),
         "result": sentences(model, evidence) + _run_sentences(runs),
-        "numbers": _numbers(model, used, unused, evidence),
+        "numbers": _number_rows(model, used, unused, evidence),
         "notes": model.extra.get("notes", []),
         "motor_unit": model.rig.actuator.unit,
         "unit": evidence.unit if evidence else "",
@@ -113,7 +113,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             "them, its band; grey: not reached. "
             "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
         ),
-        "stages": _stages(evidence) if model.quality.usable else [],
+        "stages": _stage_rows(evidence) if model.quality.usable else [],
         "gain": None,
         "runs": None,
         "onset_count": len(onsets),
@@ -163,7 +163,7 @@ def _evidence_pictures(model: Model, evidence: Evidence, onsets: Sequence[figure
         pictures["closely"] = picture(
             closely,
             "Some onsets closely",
-            f"Dots: {_shown(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
+            f"Dots: {_row_noun(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
             "where it bends.",
         )
     return pictures
@@ -305,16 +305,16 @@ def _with_unit(value: float, unit: str, digits: int = 3) -> str:
     return f"{_digits(value, digits)}\u00a0{unit}"
 
 
-def _source(model: Model, evidence: Evidence | None) -> str:
+def _source_line(model: Model, evidence: Evidence | None) -> str:
     """The page's line on what it is made from: with evidence the recordings' names and the number of frames or
     readings; and the motor's range."""
     made = f"from {', '.join(evidence.names)}; " if evidence else ""
     low, high = model.rig.actuator.range
-    length = f"{len(evidence.t_s)} {_shown(evidence)}; " if evidence else ""
+    length = f"{len(evidence.t_s)} {_row_noun(evidence)}; " if evidence else ""
     return f"{made}{length}motor range {low:g} to {high:g} {model.rig.actuator.unit}"
 
 
-def _shown(evidence: Evidence) -> str:
+def _row_noun(evidence: Evidence) -> str:
     """The word for the evidence's rows: "frames" of a camera, or "readings" of an angle sensor."""
     return "frames" if evidence.unit == "px" else "readings"
 
@@ -371,7 +371,7 @@ def _ratio(worse: float, better: float) -> str:
     return _digits(worse / max(better, 1e-12), 2)
 
 
-def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
+def _number_rows(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
     """The rows of the page's table of numbers: least and greatest B and the measured range (if any B was measured), the
     number of reversals, the delay, and with evidence of a usable model the rms of the prediction's error. used, unused:
     the model's onsets."""
@@ -399,7 +399,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
     return numbers
 
 
-def _stages(evidence: Evidence | None) -> list[list[str]]:
+def _stage_rows(evidence: Evidence | None) -> list[list[str]]:
     """The page's table of STAGES, over the settled rows. A row has the stage's name, the rms error per coordinate, the
     distance from what was seen (mean ± standard deviation, then the largest), and how many times smaller the rms is
     than that of f_coarse. [] without evidence or settled rows."""
