@@ -137,9 +137,10 @@ def command(
 def _from_recordings(
     paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options, fleet: Path | None
 ) -> tuple[Calibration, list[str], dict[str, Any] | None]:
-    """Calibrates recordings and writes the MODEL folder `out`. Returns the calibration, the result in sentences, and
-    the motion that would measure B where it is not (file and seconds; None where there is no such place, or the model
-    is unusable). fleet: a folder of taut fleet, whose robots are the prior."""
+    """Calibrates on the recordings at `paths` and writes the MODEL folder `out`, with the motion that would measure B
+    where it was not measured yet. Returns the calibration, the result in sentences, and that motion's `file` and
+    `seconds`; None instead if B was measured everywhere or the model is unusable. fleet: output folder of `taut fleet`
+    whose robots are the prior; None: no prior."""
     recordings, rig = read_recordings(paths, rig_path)
     if fleet is not None:
         from tautline.fleet import prior
@@ -175,10 +176,12 @@ def _calibrate_live(
     seed: int,
     as_json: bool,
 ) -> tuple[Calibration, list[str], dict[str, Any]]:
-    """Calibrates on a board and a camera and writes the MODEL folder `out`. Returns the calibration, the result in
-    sentences, and how the motion went (the result's `motion`). kept: folder of the recording; until: sigma of B(q) as
-    text, "3um"; at_most_s: after which it ends; thorough: the paper's slow motion instead; speeds: the rig's unit per
-    second; video: the recording gets one; seed: of a simulation; as_json: no picture in the terminal."""
+    """Calibrates on a board and a camera, which moves the motor, and writes the MODEL folder `out`. Returns the
+    calibration, the result in sentences, and how the motion went (the result's `motion`). kept: folder to write the
+    recording to; live: the set-up; until: sigma of B(q) to reach, as text such as "3um", None: the default; at_most_s:
+    time, s, after which it ends; thorough: the paper's slow motion instead; speeds: the rig's unit per second; video:
+    whether frames are recorded; seed: of a simulation; as_json: no picture in the terminal. Warns where the goal was
+    not reached. UsageError for more than four speeds, or `thorough` with `until`."""
     from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
     from tautline.live.until import Goal, calibrate_until

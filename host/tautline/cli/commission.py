@@ -108,7 +108,7 @@ def command(
 
 
 def _stored_in_words(changed: Mapping[str, Any]) -> str:
-    """Which settings were stored with another value than before, by name, in words."""
+    """A text on the settings that were stored with another value than before. changed: their new values by name."""
     shown = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in changed.items()
     ]

@@ -115,9 +115,9 @@ def command(
 
 
 def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
-    """Serves a page for live calibrations, each until the sigma `until` (text, "3um") is reached, with the MODEL in
-    `out`. Returns the command's result: `says`, the last message ("" if nothing was started), `model` and `quality`
-    (None if there was no calibration)."""
+    """Serves a page for live calibrations, each of which goes on until the sigma `until` (text such as "3um", None: the
+    default) is reached and writes its MODEL to `out`. Returns the command's result: `says`, the last message, "" if
+    nothing was started; `model`, the folder, and `quality`, both None if there was no calibration."""
     from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
 
@@ -133,8 +133,9 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 def _watch(
     live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
 ) -> dict[str, Any]:
-    """Serves a page on which the model at `path` is kept calibrated while `motion` runs at `speed`, the rig's unit per
-    second. Returns the command's result."""
+    """Serves a page on which the model at `path` is kept calibrated while the motor makes `motion` (of --motion) at
+    `speed`, the rig's unit per second (None: the default). Returns the command's result: `says`, the last message, and
+    the model's path."""
     from tautline.live.page.work import Watching
 
     model = Model.load(path)
@@ -145,8 +146,9 @@ def _watch(
 
 
 def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
-    """Serves a page for a live diagnosis of the instrument that the recording at `path` calibrates, written to `out`.
-    Returns the command's result; its `diagnosis` is None if there was none."""
+    """Calibrates on the recording at `path` and serves a page for a live diagnosis of that instrument, which is written
+    to `out`. Returns the command's result: `says`, the last message, and `diagnosis`, the folder, or None if there was
+    no diagnosis."""
     from tautline.diagnosis.recorded import calibrated
     from tautline.live.page.work import Diagnosing
 
@@ -164,8 +166,8 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
-    """Serves a page on which the recording at `path` is played again, `pace` times as fast. Returns the command's
-    result."""
+    """Serves a page on which the recording at `path` is played again at `pace` times its own speed. Returns the
+    command's result: `says`, the last message, and the recording's path."""
     from tautline.live.page.work import Replaying
     from tautline.vision.marker import with_marker
 
@@ -176,8 +178,8 @@ def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
 
 
 def _serve_page(work: Any) -> str:
-    """Serves the page of a work (live.page.work.Work) until Ctrl-C; returns the last message, "" if nothing was
-    started."""
+    """Serves the page of `work` (a live.page.work.Work) until Ctrl-C, and prints its address and messages. Returns the
+    last message, "" if nothing was started."""
     from tautline.live.page.desk import Desk
     from tautline.live.page.server import serving
     from tautline.live.page.work import attend
@@ -185,7 +187,7 @@ def _serve_page(work: Any) -> str:
     last_message = ""
 
     def say(text: str) -> None:
-        """Keeps and logs what came of a run."""
+        """Prints a message on what came of a run, and keeps it as the last one."""
         nonlocal last_message
         last_message = text
         log(f"taut: {text}")

@@ -33,7 +33,7 @@ from tautline.cli._live import (
     board_option,
     camera_option,
     colour_option,
-    recalled,
+    recall_shape,
     shape_text,
     shapes_option,
     tracking_text,
@@ -202,7 +202,7 @@ def _open_board(
     seen_as = MarkerColour.load(colour)
     live = stack.enter_context(open_live(board=where, camera=camera, rig=rig, axis=axis, colour=seen_as))
     if model is None and library is not None:
-        model, folder = recalled(live, library)
+        model, folder = recall_shape(live, library)
         refuse_unusable(model, folder, force)
     assert model is not None  # named, or a library's
     load_tables(live.board, axis, model)
