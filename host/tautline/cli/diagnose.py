@@ -196,7 +196,7 @@ def _angles_through_camera(
     if source.is_python(name) or tip is None or not tip.startswith("site:"):
         raise click.UsageError("--camera goes with --simulator FILE and --tip site:S, which it sees")
     seen = sight(Path(name), tip.removeprefix("site:"), camera)
-    late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)  # by which frames come later than an angle sensor would
+    late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)  # a frame's delay beyond an angle sensor's
     return f"joint:{seen.hinge}", [seen.to_angle(robot, late_s) for robot in robots]
 
 
