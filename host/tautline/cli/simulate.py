@@ -49,7 +49,7 @@ def usual_stroke(span: float, reversals: int) -> float:
     """The default stroke of the calibration motion over a range of length `span`, in the unit of `span`: 15 % of it, or
     more with few reversals. Then each stroke advances far, and yet the stroke back, which is the stroke minus the
     advance, has to be longer than any backlash: _WAY_BACK of the range."""
-    # n advances a over the span S: s + n a = S for the stroke s, and s - a = W S, W = _WAY_BACK: s = (W n + 1) S / (n + 1)
+    # n advances a over the span S: stroke s + n a = S, and s - a = W S (W = _WAY_BACK), so s = (W n + 1) S / (n + 1).
     advances = max(1, reversals // 2)
     return max(0.15, (_WAY_BACK * advances + 1.0) / (advances + 1.0)) * span
 
