@@ -192,7 +192,7 @@ def refuse_live_options(*more: str, because: str) -> None:
 
 
 @contextmanager
-def opened(
+def opened_setup(
     live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None, picks: bool = False
 ) -> Iterator[Live]:
     """A context that opens the live set-up of these options (board and camera, or a simulation) and yields it. The rig

@@ -27,7 +27,7 @@ from tautline.cli._live import (
     LiveOptions,
     free_recording,
     live_options,
-    opened,
+    opened_setup,
     refuse_live_options,
     sigma_of,
     until_option,
@@ -191,7 +191,7 @@ def _calibrate_live(
     if thorough and until is not None:
         raise click.UsageError("--thorough is one motion, --until as many as it takes: choose one of them")
     goal_said: list[str] = []
-    with opened(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
+    with opened_setup(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
         unit = setup.rig.actuator.unit
         if thorough:
             passes = MotionOptions(speeds=speeds or None)

@@ -20,7 +20,7 @@ from tautline.cli._common import (
     rig_option,
     warn_unusable,
 )
-from tautline.cli._live import LiveOptions, live_options, opened, options_given, refuse_live_options
+from tautline.cli._live import LiveOptions, live_options, opened_setup, options_given, refuse_live_options
 from tautline.cli._outputs import Output, folder_option
 from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
@@ -230,7 +230,7 @@ def _diagnose_live(
 
     paths = [calibration_path, *test_paths] if calibration_path else []
     made, rig = read_recordings(paths, rig_path) if paths else ([], None)
-    with opened(live, rig_path, seed) as setup, progress_bar("diagnosing") as progress:
+    with opened_setup(live, rig_path, seed) as setup, progress_bar("diagnosing") as progress:
         if calibration_path is None:
             calibration_path = kept.with_name(f"{kept.name}-calibration")
             progress(0.0, "calibrating")

@@ -26,7 +26,7 @@ from tautline.cli._live import (
     LiveOptions,
     bus_text,
     live_options,
-    opened,
+    opened_setup,
     recall_shape,
     seed_option,
     shape_text,
@@ -97,7 +97,7 @@ def command(
     if model is None and library is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
     model_of_rig = model if model is not None or library is None else library.first()
-    with opened(live, rig_path, seed, model=model_of_rig) as setup:
+    with opened_setup(live, rig_path, seed, model=model_of_rig) as setup:
         if model is None and library is not None:
             model, model_path = recall_shape(setup, library)
         if model is not None and model_path is not None:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, json_option
-from tautline.cli._live import LiveOptions, axis_option, opened, simulate_option
+from tautline.cli._live import LiveOptions, axis_option, opened_setup, simulate_option
 from tautline.errors import TautError
 
 
@@ -44,7 +44,7 @@ def command(
     options = LiveOptions(
         board=None, axis=axis, camera=None, colour=Path(), simulate=simulate or "reference", at=None
     )  # fmt: skip
-    with opened(options, rig_path=None) as live:
+    with opened_setup(options, rig_path=None) as live:
         seen = faults.show(live, fault)
         unit = live.rig.actuator.unit
     what = faults.FAULTS[fault].what

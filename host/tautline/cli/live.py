@@ -24,7 +24,7 @@ from tautline.cli._live import (
     free_recordings,
     live_options,
     motion_option,
-    opened,
+    opened_setup,
     refuse_live_options,
     seed_option,
     sigma_of,
@@ -121,7 +121,7 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
     from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
 
-    with opened(live, rig_path, seed, picks=True) as setup, setup.interruptible():
+    with opened_setup(live, rig_path, seed, picks=True) as setup, setup.interruptible():
         goal = Goal(None if until is None else sigma_of(until, setup.rig.actuator.unit))
         colour_file = live.colour if live.simulate is None else None
         work = Calibrating(setup, out, lambda: free_recording(out.absolute()), goal, colour_file)
@@ -141,7 +141,7 @@ def _watch(
     model = Model.load(path)
     warn_unusable(model, path)
     warn_tracked_alone(model)
-    with opened(live, rig_path, seed, model=model) as setup, setup.interruptible():
+    with opened_setup(live, rig_path, seed, model=model) as setup, setup.interruptible():
         return {"says": _serve_page(Watching(setup, model, motion, speed, seed=seed)), "model": path}
 
 
@@ -156,7 +156,7 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
     with progress_bar("calibrating") as progress:
         calibration, recordings = calibrated(recordings, rig, progress)
     warn_unusable(calibration.model, path)
-    with opened(live, rig_path, seed, model=calibration.model) as setup, setup.interruptible():
+    with opened_setup(live, rig_path, seed, model=calibration.model) as setup, setup.interruptible():
         work = Diagnosing(setup, calibration, recordings, out, lambda: free_recordings(out.absolute()))
         says = _serve_page(work)
     found = work.found

@@ -103,6 +103,7 @@ def command(
         check_no_input(shown, motion, *board)
     if not board and (squares or square_mm is not None or marker_mm is not None):
         raise click.UsageError("--squares, --square-mm and --marker-mm are of a --board: name its pictures or video")
+    # The document grows in steps: --from and --set, then the camera from --board, then its pose from --motion.
     document = _first_document(start, given)
     if sensor == ANGLE and (board or motion):
         raise click.UsageError("--board and --motion are for a camera: leave --sensor angle out")
@@ -117,6 +118,7 @@ def command(
         result["camera"] = {"sigma": seen.sigma, "rms_px": seen.rms_px, "views": seen.views, "of": seen.of}
         lines.append(seen.in_words())
     if motion is not None:
+        # What the motion measures replaces what was there; the measurement needs all other keys before.
         document = {name: section for name, section in document.items() if name not in _BY_MOTION}
         _ask_for_keys(document, sensor, without=_BY_MOTION)
         places, found, law, left_deg = _measure_by_known_angles(document, motion, angles, angle_sigma)
@@ -160,7 +162,7 @@ def _hand_eye_result(found: HandEyeFit, places: Places) -> dict[str, Any]:
 
 
 def _first_document(start: Path | None, given: tuple[str, ...]) -> rig_keys.Document:
-    """The rig.toml's document (sections of keys) to begin with: that of the file `start`, or an empty one for None,
+    """The rig.toml's document (sections of keys) to begin with: that of the file `start`, or for None one without keys,
     with the keys set that `given` names, each as KEY=VALUE (of --set). TautError for an unknown key or a value that it
     does not take."""
     document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}

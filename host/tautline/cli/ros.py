@@ -29,7 +29,7 @@ from tautline.cli._live import (
     board_option,
     camera_option,
     colour_option,
-    opened,
+    opened_setup,
     tracking_text,
 )
 from tautline.model import Model
@@ -87,7 +87,7 @@ def command(
         ended = stack.enter_context(_end_condition(duration))
         graph = stack.enter_context(Graph("tautline", ["--ros-args", *ros_arguments] if of_ros else []))
         parameters = Parameters.of(graph.node)
-        live = stack.enter_context(opened(options, rig_path, model=model))
+        live = stack.enter_context(opened_setup(options, rig_path, model=model))
         load_tables(live.board, axis, model)
         node = Node(graph, parameters, live, model)
         if camera is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tautline.cli._common import Number, emit, json_option, log, progress_bar, refuse_unusable, rig_option
-from tautline.cli._live import LiveOptions, live_options, opened, refuse_live_options, seed_option
+from tautline.cli._live import LiveOptions, live_options, opened_setup, refuse_live_options, seed_option
 
 if TYPE_CHECKING:
     from tautline.shapes import Library, Shape
@@ -85,7 +85,7 @@ def recall(
         refuse_live_options("rig_path", "seed", because="leave them out, or RECORDING")
         nearest, rms = _recall_from_recording(known, recording_path)
     else:
-        with opened(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
+        with opened_setup(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
             nearest, rms = recall_live(setup, known, progress)
     for name, off in rms.items():
         log(f"taut: {name}: off by {off:.3g} rms")

@@ -25,7 +25,7 @@ from tautline.cli._live import (
     LiveOptions,
     live_options,
     motion_option,
-    opened,
+    opened_setup,
     seed_option,
     shape_text,
     shapes_option,
@@ -75,7 +75,7 @@ def command(
     if live.simulate is not None and motion == "none" and duration is None:
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
     with (
-        opened(live, rig_path, seed, model=model) as setup,
+        opened_setup(live, rig_path, seed, model=model) as setup,
         _progress_display(model.rig.actuator.unit, as_json) as on_row,
     ):
         result = watch(

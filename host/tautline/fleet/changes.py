@@ -20,16 +20,16 @@ class _Levels:
     """The level of B in each of a robot's n usable sessions: the logarithm of B's mean over the range of q that all of
     these sessions measured."""
 
-    at: list[int]  # (n,) their indices among all of the robot's sessions; the index stands for how much it was used
+    indices: list[int]  # (n,) of them among all of the robot's sessions, which stand for how much it was used
     level: Array  # (n,) natural logarithm of the mean B
     sigma: Array  # (n,) standard deviation of `level`
 
     def line(self, scatter: float) -> tuple[Array, Array, Array]:
-        """Fits a straight line of `level` over the sessions' indices `at` by weighted least squares. scatter: a
+        """Fits a straight line of `level` over the sessions' `indices` by weighted least squares. scatter: a
         standard deviation of log B that is added to every sigma in quadrature. Returns the line's two parameters (2,),
         which are the level at the weighted mean index and the growth a session; their covariance (2, 2); and the
         residuals (n,), each divided by its sigma."""
-        use = np.array(self.at, dtype=float)
+        use = np.array(self.indices, dtype=float)
         weight = 1.0 / (self.sigma**2 + scatter**2)
         columns = np.column_stack([np.ones(len(use)), use - np.average(use, weights=weight)])
         covariance = np.linalg.inv(columns.T @ (weight[:, None] * columns))
@@ -56,8 +56,8 @@ def common_scatter(levels: Iterable[_Levels]) -> float:
     """The standard deviation of log B, common to all robots, by which sessions scatter about their robot's straight
     line beyond the sigmas that they state: with it chi square equals its degrees of freedom. Only robots with more than
     two sessions tell; 0 where there is none, or where the stated sigmas explain all of the scatter."""
-    long = [each for each in levels if len(each.at) > 2]
-    freedom = sum(len(each.at) - 2 for each in long)  # a line has two parameters
+    long = [each for each in levels if len(each.indices) > 2]
+    freedom = sum(len(each.indices) - 2 for each in long)  # a line has two parameters
 
     def surplus(scatter: float) -> float:
         """The sum of squared normalised residuals (chi square) about all robots' lines, with this scatter of log B,
@@ -108,13 +108,13 @@ def _with_robot_changes(robot: Sequence[Row], robot_levels: _Levels, scatter: fl
     (None with a single usable session). Each usable row after the first also gets the change since the first usable
     one: `width_change`, a share of B, and `offset_change`, unit of q. robot_levels: its levels of B; scatter: as in
     `_Levels.line`."""
-    first = robot[robot_levels.at[0]]
+    first = robot[robot_levels.indices[0]]
     wear = wear_sigma = None
-    if len(robot_levels.at) > 1:
+    if len(robot_levels.indices) > 1:
         values, covariance, _ = robot_levels.line(scatter)
         wear, wear_sigma = float(values[1]), float(np.sqrt(covariance[1, 1]))
     changed_rows = [replace(row, wear=wear, wear_sigma=wear_sigma) for row in _without_changes(robot)]
-    for k, level, sigma in zip(robot_levels.at[1:], robot_levels.level[1:], robot_levels.sigma[1:], strict=True):
+    for k, level, sigma in zip(robot_levels.indices[1:], robot_levels.level[1:], robot_levels.sigma[1:], strict=True):
         ratio = float(np.exp(level - robot_levels.level[0]))  # of mean B to the first one's
         log_sigma = float(np.hypot(sigma, robot_levels.sigma[0]))
         changed_rows[k] = replace(

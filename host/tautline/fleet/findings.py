@@ -125,17 +125,17 @@ class _Groups:
     """A mixture of two normal distributions of _Growth.log: the first is of usual robots, the second of robots that
     wear sooner."""
 
-    usual: float  # mean of the first
+    usual_mean: float  # of the first
     spread: float  # standard deviation of each
-    sooner: float  # mean of the second minus mean of the first, > 0
+    shift: float  # mean of the second minus mean of the first, > 0
     odds: float  # prior log odds that a robot is of the second; minus infinity: there is no second
 
     def log_odds(self, growth: _Growth) -> Array:
         """(n,) For each robot the logarithm of its likelihood in the second group over that in the first; the prior
         `odds` are not added."""
         sigma = np.hypot(self.spread, growth.log_sigma)
-        second = norm.logpdf(growth.log, self.usual + self.sooner, sigma)
-        return np.asarray(second - norm.logpdf(growth.log, self.usual, sigma))
+        second = norm.logpdf(growth.log, self.usual_mean + self.shift, sigma)
+        return np.asarray(second - norm.logpdf(growth.log, self.usual_mean, sigma))
 
 
 def findings(rows: Sequence[Row]) -> Findings:
@@ -159,7 +159,7 @@ def _findings(rows: Sequence[Row]) -> Findings:
         robots=len({row.robot for row in rows}),
         sessions=len(rows),
         failed=sum(row.verdict == FAILED for row in rows),
-        wear=growth.usual_sigma * float(np.sinh(groups.usual)) if groups else float("nan"),  # undoes _Growth.log
+        wear=growth.usual_sigma * float(np.sinh(groups.usual_mean)) if groups else float("nan"),  # undoes _Growth.log
         wear_spread=groups.spread if groups else float("nan"),
         drifting=tuple(sorted(_drifting_robots(growth), key=lambda one: -abs(one.value))),
         worn=tuple(worn),
@@ -221,8 +221,8 @@ def _fit_groups(growth: _Growth) -> _Groups | None:
         """The groups for the parameters x (4,): the first group's mean minus `middle`, in `unit`; log(spread / unit);
         log(d / unit), where the second group's mean is _APART spreads plus d above the first's; and the log odds."""
         own_spread = unit * np.exp(x[1])
-        sooner = _APART * own_spread + unit * np.exp(x[2])
-        return _Groups(usual=middle + unit * x[0], spread=own_spread, sooner=sooner, odds=float(x[3]))
+        shift = _APART * own_spread + unit * np.exp(x[2])
+        return _Groups(usual_mean=middle + unit * x[0], spread=own_spread, shift=shift, odds=float(x[3]))
 
     # The prior of both costs: log(spread / unit), which is x[1], is standard normal.
     def cost_of_one(x: Array) -> float:
@@ -234,9 +234,9 @@ def _fit_groups(growth: _Growth) -> _Groups | None:
         """Minus the log posterior of two groups; x (4,) as in `groups_at`."""
         groups = groups_at(x)
         # log p = log p1 + log(w1 + w2 p2 / p1), with the groups' weights w1 = 1 - w2 by the log odds
-        usual = norm.logpdf(growth.log, groups.usual, np.hypot(groups.spread, growth.log_sigma))
+        first = norm.logpdf(growth.log, groups.usual_mean, np.hypot(groups.spread, growth.log_sigma))
         mixed = np.logaddexp(log_expit(-groups.odds), groups.log_odds(growth) + log_expit(groups.odds))
-        return 0.5 * float(x[1]) ** 2 - float((usual + mixed).sum())
+        return 0.5 * float(x[1]) ** 2 - float((first + mixed).sum())
 
     # tolerance: bounds of the search; starts combine a near and a far second group with few and many worn robots.
     one = minimize(cost_of_one, np.zeros(2), method="L-BFGS-B", bounds=[(-9.0, 9.0)] * 2)

@@ -237,9 +237,10 @@ def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
 
 def _comparison_row(name: str, model: Model, first: Model) -> dict[str, Any]:
     """The row of one model in `comparison`: its changes against the model `first` at 201 even places over the q that
-    both have measured. Where there is no such q the range is None and all else but the delay NaN. Widths are in the
-    unit of q; `width_change_sigmas` is the rms of the change over the sigma of the difference. f_remain's change, deg,
-    is split into its mean and the rms about that mean, as a shift of the motor's zero alone changes the mean too."""
+    both have measured. Where there is no such q the range is None and all other numbers but the delay are NaN. Widths
+    are in the unit of q; `width_change_sigmas` is the rms of the change over the sigma of the difference. f_remain's
+    change, deg, is split into its mean and the rms about that mean, as a shift of the motor's zero alone changes the
+    mean too."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     q = np.linspace(low, high, 201) if high > low else np.empty(0)
     width, base = (np.interp(q, m.q, m.width) for m in (model, first))
