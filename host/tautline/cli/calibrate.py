@@ -100,7 +100,7 @@ def command(
     fleet: Path | None,
     as_json: bool,
     kept: Path | None,
-    **live: Any,  # as `_calibrate_live` takes them
+    **live_arguments: Any,  # those of `_calibrate_live` that are not named above, LiveOptions (`live`) among them
 ) -> None:
     """Measure B(q) and f_remain: from recordings of one instrument, or live from a board and a camera.
 
@@ -109,15 +109,16 @@ def command(
     """
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
-        refuse_live_options("kept", *(name for name in live if name != "live"), because="leave them out, or RECORDING")
+        live_parameters = [name for name in live_arguments if name != "live"]
+        refuse_live_options("kept", *live_parameters, because="leave them out, or RECORDING")
         calibration, lines, proposed = _from_recordings(recording_paths, rig_path, out, options, fleet)
     else:
         if fleet is not None:
             raise click.UsageError("--prior goes with a RECORDING: record first, with 'taut record'")
-        if live["live"].camera is None and live["live"].simulate is None:
+        if live_arguments["live"].camera is None and live_arguments["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or free_recording(out.absolute())
-        calibration, lines, made = _calibrate_live(kept, rig_path, out, options, as_json=as_json, **live)
+        calibration, lines, made = _calibrate_live(kept, rig_path, out, options, as_json=as_json, **live_arguments)
         proposed = None  # what was missing was moved through, or it was said why not
     quality = calibration.model.quality
     verdict = quality_lines(quality)

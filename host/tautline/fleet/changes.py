@@ -20,7 +20,7 @@ class _Levels:
     """The level of B in each of a robot's n usable sessions: the logarithm of B's mean over the range of q that all of
     these sessions measured."""
 
-    indices: list[int]  # (n,) of them among all of the robot's sessions, which stand for how much it was used
+    indices: list[int]  # (n,) places of these among all sessions of the robot; they stand for its use
     level: Array  # (n,) natural logarithm of the mean B
     sigma: Array  # (n,) standard deviation of `level`
 
