@@ -119,7 +119,7 @@ def command(
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or free_recording(out.absolute())
         calibration, lines, made = _calibrate_live(kept, rig_path, out, options, as_json=as_json, **live_arguments)
-        proposed = None  # what was missing was moved through, or it was said why not
+        proposed = None  # the live motion went through all gaps already, or said why it could not
     quality = calibration.model.quality
     verdict = quality_lines(quality)
     if as_json:

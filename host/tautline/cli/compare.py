@@ -72,7 +72,7 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
 
 def _cell(value: object, factor: float) -> str:
     """The text of a table's cell. A number is multiplied by `factor` (to the column's unit), rounded to 9 decimals and
-    written with four digits; "-" stands for NaN; any other value is written as it is."""
+    written with four digits; "-" stands for NaN and infinities; any other value is written as it is."""
     if not isinstance(value, int | float | np.number):
         return str(value)
     return f"{round(factor * value, 9):.4g}" if np.isfinite(value) else "-"
