@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference_instrument import RIG, saved_model
 
-from tautline.cli._live import LiveOptions, opened
+from tautline.cli._live import LiveOptions, opened_setup
 from tautline.drivers.ros_graph import Graph, library
 from tautline.errors import TautError
 from tautline.live import setup
@@ -136,7 +136,7 @@ def test_a_session_tells_what_its_camera_lost(
             yield Live(None, RIG, 0, CameraSource(None, camera, None))  # type: ignore[arg-type]
 
     monkeypatch.setattr(setup, "open_live", opened_here)
-    with opened(LiveOptions(None, 0, None, Path("marker.toml"), None, None), tmp_path / "model" / "rig.toml"):
+    with opened_setup(LiveOptions(None, 0, None, Path("marker.toml"), None, None), tmp_path / "model" / "rig.toml"):
         assert capsys.readouterr().err == ""
     assert "3 frames of the camera never came" in capsys.readouterr().err
 

@@ -13,7 +13,7 @@ from tautline.errors import TautError
 from tautline.folders import whole_file, write_file
 from tautline.model import Model
 from tautline.recording import Motor
-from tautline.reports.evidence import settled
+from tautline.reports.evidence import is_settled
 from tautline.rig import Actuator, Coarse, Rig
 
 
@@ -96,5 +96,5 @@ def test_a_report_scores_from_where_the_motor_had_driven_the_tip_both_ways():
     narrow = model(np.clip(0.15 * np.abs(q + 40.0), 0.0, 3.0))
     t_s = np.arange(0.0, 30.0, 0.01)
     way = np.interp(t_s, [0.0, 10.0, 20.0, 30.0], [-40.0, 20.0, -20.0, 30.0])
-    counted = settled(narrow, Motor(t_s, way), t_s)
+    counted = is_settled(narrow, Motor(t_s, way), t_s)
     assert not counted[t_s < 10.0].any() and counted[t_s > 12.0].all()

@@ -224,11 +224,11 @@ def test_every_axis_has_a_unit(measured: tuple[Model, Recording]) -> None:
     run = evidence.Run(seen.t_s, seen.c_deg, seen.c_deg, np.ones(len(seen.t_s), dtype=bool))
     drawn = [
         figures.hero(model, onsets, seen),
-        figures.gain(seen),
-        figures.track(seen, onsets, "mm"),
+        figures.stage_errors(seen),
+        figures.recorded_motion(seen, onsets, "mm"),
         figures.residuals(seen, "mm"),
         figures.cross_check(model, passes),
-        figures.followed({"off": run}),
+        figures.followed_runs({"off": run}),
         figures.compared({"one": model, "other": model}),
     ]
     for made in drawn:

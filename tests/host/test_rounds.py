@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tautline.calibration.onset import Delay
 from tautline.calibration.result import Calibration
 from tautline.cli._live import sigma_of
-from tautline.cli._picture import calibration_picture, picture, standing
+from tautline.cli._picture import calibration_picture, picture, standing_line
 from tautline.live.rounds import (
     FEWEST,
     CameraView,
@@ -285,7 +285,7 @@ def test_without_a_terminal_a_line_for_each_step(capsys: pytest.CaptureFixture[s
         show(view)
         show(view)
     told = capsys.readouterr()
-    assert told.out == "" and told.err.splitlines() == ["taut: round 1", f"taut: {standing(view)}"]
+    assert told.out == "" and told.err.splitlines() == ["taut: round 1", f"taut: {standing_line(view)}"]
 
 
 def test_another_round_says_why() -> None:

@@ -121,7 +121,7 @@ def test_the_picture_of_a_commissioning_can_be_written_before_a_motor_moves(
     def moved(*_: object, **__: object) -> None:
         raise AssertionError("the motor was moved")
 
-    monkeypatch.setattr("tautline.cli.commission.opened", moved)
+    monkeypatch.setattr("tautline.cli.commission.opened_setup", moved)
     assert "a picture ends in" in taut.refuses("commission", "--simulate", "--yes", "--out", "steps.foo")
     (tmp_path / "file").write_text("")
     assert "cannot be written" in taut.refuses("commission", "--simulate", "--yes", "--out", "file/steps.png")
@@ -206,7 +206,7 @@ def test_it_is_said_what_a_tracker_does_not_know_also_where_it_is_not_asked_for(
             pass
 
     monkeypatch.setattr("tautline.live.following.follow_run", run)
-    monkeypatch.setattr("tautline.cli.follow.opened", lambda *_, **__: Opened())
+    monkeypatch.setattr("tautline.cli.follow.opened_setup", lambda *_, **__: Opened())
     monkeypatch.setattr("tautline.cli.follow.refuse_unusable", lambda *_: None)
     assert "transmission.creep" in taut("follow", model, "--camera", "0").err
     assert "transmission.creep" not in taut("follow", model, "--camera", "0", "--no-track").err

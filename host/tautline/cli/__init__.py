@@ -10,22 +10,24 @@ import click
 from click.shell_completion import CompletionItem
 
 from tautline import __version__
-from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Said, imported
+from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Said, import_module_of
 from tautline.errors import TautError, nearest, of_system
 
 
 class _Commands(click.Group):
-    """click's group of commands, whose modules are imported only when they are asked for; it lists them in groups."""
+    """click's group of commands. A command's module is imported only when the command is asked for; the help text lists
+    the commands in groups."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names of all commands."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command, its module imported only now, with its example below its help; None where there is none."""
+        """Imports the command's module and returns the command, with its example appended to its help; None for an
+        unknown name."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = imported(COMMANDS[cmd_name]).command
+        command: click.Command = import_module_of(COMMANDS[cmd_name]).command
         example = f"Example: {COMMANDS[cmd_name].example}"
         if example not in (command.epilog or ""):
             command.epilog = "\n\n".join(filter(None, (command.epilog, example)))
@@ -34,14 +36,15 @@ class _Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click's; but for an unknown name the usage error says which command was probably meant."""
+        """Does what click's own method does; but for an unknown name that is near a command's, the usage error says
+        which command was probably meant."""
         if args[0] not in COMMANDS and (meant := nearest(args[0], COMMANDS)):
             ctx.fail(f"No such command '{args[0]}': did you mean 'taut {meant}'?")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """For the shell's completion: the commands that begin with `incomplete`, without importing their modules, and
-        what click itself offers (options)."""
+        """The shell's completions of `incomplete`: the commands that begin with it, whose modules are not imported, and
+        then what click offers for any command (options)."""
         named = [CompletionItem(each.name, help=each.says) for each in COMMANDS.values()]
         return [each for each in named if each.value.startswith(incomplete)] + click.Command.shell_complete(
             self, ctx, incomplete
@@ -67,9 +70,9 @@ def taut() -> None:
 
 
 def main() -> None:
-    """The entry point of `taut`: runs the command line and ends the process on an error, with a status of EXIT_STATUS.
-    An error is one line on stderr; with --json also an object on stdout, unless the result is there already. The
-    environment variable NO_COLOR removes colours; TAUT_TRACEBACK=1 lets an unexpected error through with its
+    """The entry point of `taut`: runs the command line. An error ends the process with a status of EXIT_STATUS and is
+    printed as one line on stderr; with --json also as an object on stdout, unless the result was printed there already.
+    The environment variable NO_COLOR removes colours; with TAUT_TRACEBACK=1 an unexpected error is raised with its
     traceback."""
     said = Said()
     try:
@@ -81,7 +84,7 @@ def main() -> None:
         _fail(said, "stopped", 130)
     except TautError as error:
         _fail(said, str(error), error.status)
-    except BrokenPipeError:
+    except BrokenPipeError:  # nobody reads the output any more
         sys.exit(1)
     except OSError as error:
         if error.filename is None and os.environ.get("TAUT_TRACEBACK"):
@@ -95,14 +98,14 @@ def main() -> None:
 
 
 def _fail(said: Said, what: str, status: int) -> None:
-    """Ends the process with `what` went wrong as a line on stderr, and the exit status."""
+    """Prints the message `what` as a line on stderr and ends the process, as `_exit_with_error` does."""
     click.echo(f"taut: {what}", err=True)
     _exit_with_error(said, what, status)
 
 
 def _exit_with_error(said: Said, what: str, status: int) -> None:
-    """Ends the process with the exit status. With --json prints `what` went wrong as an object on stdout, unless the
-    result is there already: stdout has one object and no more."""
+    """Ends the process with the exit status. With --json it first prints the message `what` as an object on stdout,
+    unless the result was printed there already, as stdout gets a single object."""
     if "--json" in sys.argv and not said.result:
         click.echo(json.dumps({"error": what, "status": status}))
     sys.exit(status)

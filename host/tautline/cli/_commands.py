@@ -1,4 +1,4 @@
-"""What `taut` can do: its commands in groups, the line that `taut --help` shows of each, and how each is typed."""
+"""The list of `taut`'s commands, in groups: the name of each, its line in `taut --help`, and an example."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-_SOURCES = Path(__file__).resolve().parents[3]  # a clone, where the package is used from one
+_SOURCES = Path(__file__).resolve().parents[3]  # the root of the clone, if the package is used from one
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Command:
     name: str
     says: str  # its line in `taut --help`
     example: str
-    of_a_clone: str = ""  # the module in a clone's tools, where the wheel has none
+    of_a_clone: str = ""  # dotted module in a clone's tools, for a command that the wheel lacks; "": in this package
 
     @property
     def module(self) -> str:
@@ -27,7 +27,7 @@ class Command:
 
     @property
     def there(self) -> bool:
-        """Whether its module exists: a wheel lacks those of a clone's tools."""
+        """Whether the command's module exists: a wheel lacks those that are in a clone's tools."""
         return not self.of_a_clone or (_SOURCES / self.of_a_clone.replace(".", "/")).with_suffix(".py").is_file()
 
 
@@ -167,8 +167,9 @@ GROUPS = {title: tuple(each for each in group if each.there) for title, group in
 COMMANDS = {command.name: command for group in GROUPS.values() for command in group}
 
 
-def imported(command: Command) -> ModuleType:
-    """Imports the command's module. For a command that only a clone has, the clone is put onto Python's path first."""
+def import_module_of(command: Command) -> ModuleType:
+    """Imports the command's module and returns it. For a command that only a clone has, the clone's root is appended to
+    Python's path (sys.path) first."""
     if command.of_a_clone and str(_SOURCES) not in sys.path:
         sys.path.append(str(_SOURCES))
     return importlib.import_module(command.module)
@@ -176,12 +177,12 @@ def imported(command: Command) -> ModuleType:
 
 @dataclass
 class Said:
-    """What the running command has printed already; it is click's context object."""
+    """What the running command has printed already. One instance is click's context object (`obj`)."""
 
-    result: bool = False  # the result is on stdout
+    result: bool = False  # whether the result was printed on stdout
 
 
-# Of every command.
+# What the exit statuses of every command mean.
 EXIT_STATUS = {
     0: "done",
     1: "an error: one line on stderr says what is wrong and what to do",

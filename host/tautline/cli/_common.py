@@ -1,6 +1,7 @@
 """What the commands share: --json, --rig, progress on stderr, warnings.
 
-A command ends with `emit(result, as_json, text)`. The core's `progress(fraction, text)` comes from `progress_bar`.
+A command ends with `emit(result, as_json, text)`. The function `progress(fraction, text)` that it hands to the library
+comes from `progress_bar`.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ Progress = Callable[[float, str], None]
 
 
 class Number(click.types.FloatParamType):
-    """An option's finite number: click's own lets nan and inf through, also through a range."""
+    """A type of options: a finite number. Unlike it, click's own type accepts nan and inf, even within a range."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The value as a float; a usage error where it is no finite number."""
+        """Converts the option's value to a float; a usage error where it is not a finite number."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value!r} is no finite number.", param, ctx)
@@ -38,10 +39,10 @@ class Number(click.types.FloatParamType):
 
 
 class NumberRange(click.FloatRange, Number):
-    """A finite number within a range."""
+    """A type of options: a finite number within a range."""
 
 
-SEED = click.IntRange(min=0)  # numpy's generators take no other
+SEED = click.IntRange(min=0)  # numpy's generators take no negative seed
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 rig_option = click.option(
@@ -63,8 +64,8 @@ force_option = click.option("--force", is_flag=True, help="Use a model whose cal
 
 
 def refuse_unusable(model: Model, folder: Path, force: bool = False) -> None:
-    """UnusableError, with the first reason, for a model whose calibration is unusable, before anything is driven with
-    it; with `force` only a warning. folder: the model's, for the text."""
+    """Raises an UnusableError, with the verdict's first reason, for a model whose calibration is unusable; to be called
+    before anything is driven with it. With `force` it only prints a warning. folder: the model's, for the text."""
     if model.quality.usable:
         return
     why = model.quality.reasons[0]
@@ -74,24 +75,25 @@ def refuse_unusable(model: Model, folder: Path, force: bool = False) -> None:
 
 
 def warn_unusable(model: Model, folder: Path) -> None:
-    """Warns where a model's calibration is unusable, for commands that drive nothing with it."""
+    """Prints a warning where a model's calibration is unusable; for commands that drive nothing with it."""
     refuse_unusable(model, folder, force=True)
 
 
 def warn_tracked_alone(model: Model) -> None:
-    """Warns, before a live tracker starts, where a model has effects beside its play: the tracker simulates the play
-    and f_remain alone."""
+    """Prints a warning where a model has effects beside its play, as a live tracker simulates the play and f_remain
+    alone; to be called before the tracker starts."""
     if model.effects:
         named = ", ".join(effect.id for effect in model.effects)
         warn(f"what the model holds beside its play ({named}) is not simulated while tracking live")
 
 
-STATE_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}  # of a tracker
+STATE_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}  # by a tracker's state
 _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE: "red"}
 
 
 def quality_lines(quality: Quality) -> list[str]:
-    """A calibration's verdict in colour, and a line for each reason, to be printed before the result."""
+    """Lines to print before a calibration's result: its verdict in colour, each of its reasons, and where to read more
+    about the first reason."""
     word = click.style(quality.verdict.value, fg=_COLOURS[quality.verdict], bold=True)
     lines = [f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else "")]
     lines += [f"taut:   {click.style(reason.code, bold=True)} {reason}" for reason in quality.reasons]
@@ -102,8 +104,8 @@ def quality_lines(quality: Quality) -> list[str]:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """A context with a progress bar on stderr: a function that is called with (fraction 0 to 1, what is being done).
-    Where stderr is no terminal it does nothing."""
+    """A context with a progress bar on stderr. It yields the function that moves the bar, which is called with the
+    fraction done, 0 to 1, and a text on what is being done. Where stderr is no terminal that function does nothing."""
     if not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
@@ -134,8 +136,8 @@ def warn(text: str) -> None:
 
 
 def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
-    """Prints the command's result on stdout, with which it ends: `result` as one JSON object, or `text` for a
-    person."""
+    """Prints the command's result on stdout: `result` as one JSON object if `as_json`, else `text` for a person. It
+    notes in the context's `Said` that this was done, so that an error after it prints no second object."""
     context = click.get_current_context(silent=True)
     if context is not None and (said := context.find_object(Said)) is not None:
         said.result = True
@@ -143,7 +145,7 @@ def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
 
 
 def read_rig(path: Path) -> Rig:
-    """Reads the rig file of --rig, and prints which keys may be misspelt."""
+    """Reads the rig file of --rig and prints a warning for each key that may be misspelt."""
     rig = Rig.load(path)
     for said in rig.misspelt:
         warn(f"{path}: {said}")
@@ -153,14 +155,14 @@ def read_rig(path: Path) -> Rig:
 def read_recordings(
     paths: Sequence[Path], rig_path: Path | None, repeated: bool = False
 ) -> tuple[list[Recording], Rig]:
-    """Reads recordings, and the rig that holds for all of them: rig_path's (--rig), else the rig.toml of the first
-    recording that has one, which the others must not contradict. Prints their warnings. TautError also where a
-    recording is given twice, unless it may be `repeated`."""
+    """Reads recordings and the rig that holds for all of them, and prints the recordings' warnings. The rig is that of
+    rig_path (--rig), else the rig.toml of the first recording that has one. TautError where a recording has a different
+    rig.toml and rig_path is None, or where a recording is given twice, unless `repeated` allows it."""
     if rig_path is not None:
         rig = read_rig(rig_path)
         recordings = load_all(paths, rig)
     else:
-        rig = _own_rig(paths)
+        rig = _first_rig(paths)
         recordings = load_all(paths, rig)
         for recording in recordings:
             if recording.rig is not None and recording.rig != rig:
@@ -175,8 +177,9 @@ def read_recordings(
     return recordings, rig
 
 
-def _own_rig(paths: Sequence[Path]) -> Rig:
-    """The rig.toml in the first recording that has one. TautError where none has, or a folder is not there."""
+def _first_rig(paths: Sequence[Path]) -> Rig:
+    """Reads the rig.toml in the first recording that has one. TautError where none has, or where one of the recordings
+    before that is not a folder."""
     for path in paths:
         if not path.is_dir():
             raise TautError(f"{path}: there is no such folder: a recording is a folder with motor.csv")

@@ -1,4 +1,4 @@
-"""Options of the commands that use a board."""
+"""Options of the commands that use a board and a camera, the set-up that they open, and texts on what came of a run."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ until_option = click.option(
 
 
 def motion_option(none: str) -> Callable[..., Any]:
-    """The option --motion of a command; none: what its help says happens without it."""
+    """A decorator that gives a command the option --motion. none: what the help text says of its value "none"."""
     return click.option(
         "--motion",
         metavar="FILE|SHAPE",
@@ -84,8 +84,8 @@ def motion_option(none: str) -> Callable[..., Any]:
 
 
 def shapes_option(without_model: str = "") -> Callable[..., Any]:
-    """The option --shapes of a command, which gets it as library_path; without_model: an addition to its help, what it
-    does where no MODEL is named."""
+    """A decorator that gives a command the option --shapes, as its parameter library_path. without_model: a sentence
+    that is appended to the help text, on what happens where no MODEL is named."""
     return click.option(
         "--shapes",
         "library_path",
@@ -105,9 +105,9 @@ at_option = click.option(
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """Which set-up a live command uses: the values of its options."""
+    """The values of the options that say which set-up a live command uses."""
 
-    board: str | None  # address; None: the rig's, or the only one
+    board: str | None  # address; None: the rig's, or the only one attached
     axis: int
     camera: str | None  # None: no camera
     colour: Path  # the file with the marker's colour
@@ -116,12 +116,12 @@ class LiveOptions:
 
 
 def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """A decorator that gives a command the options --board, --axis, --camera, --colour, --simulate and --at; it gets
-    them together, as `live`, a LiveOptions."""
+    """A decorator that gives a command the options --board, --axis, --camera, --colour, --simulate and --at. The
+    command gets their values together, in its parameter `live`, a LiveOptions."""
 
     @functools.wraps(command)
     def collected(**options: Any) -> Any:
-        """Calls the command with these options collected in `live`."""
+        """Takes these options out of `options` and calls the command with a LiveOptions of them as `live`."""
         live = LiveOptions(**{field.name: options.pop(field.name) for field in fields(LiveOptions)})
         return command(live=live, **options)
 
@@ -132,26 +132,28 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def free_recording(out: Path) -> Path:
-    """A folder for a recording beside the output folder `out`, that does not exist yet: OUT-recording, or with a
-    number."""
+    """The path of a folder for a recording, beside the output folder `out`, that does not exist yet: OUT-recording, or
+    OUT-recording-2 and so on."""
     return _free_folder(out, "recording")
 
 
 def free_recordings(out: Path) -> Path:
-    """A folder for several recordings beside the output folder `out`, that does not exist yet: OUT-recordings, or with
-    a number."""
+    """The path of a folder for several recordings, beside the output folder `out`, that does not exist yet:
+    OUT-recordings, or OUT-recordings-2 and so on."""
     return _free_folder(out, "recordings")
 
 
 def _free_folder(out: Path, what: str) -> Path:
-    """The first of OUT-WHAT, OUT-WHAT-2, OUT-WHAT-3 and so on, beside `out`, that does not exist."""
+    """The first path of OUT-WHAT, OUT-WHAT-2, OUT-WHAT-3 and so on, beside `out`, that does not exist; it is not
+    made."""
     names = (f"{out.name}-{what}{number}" for number in chain([""], (f"-{i}" for i in count(2))))
     return next(path for name in names if not (path := out.with_name(name)).exists())
 
 
 def sigma_of(text: str, unit: str) -> float:
-    """The value of --until: a standard deviation of B in the rig's unit (mm or deg), from text such as "5um"; without a
-    unit it is in um, or in deg if the rig is. UsageError where it is no number above 0, or of the other kind."""
+    """Parses the text of --until, such as "5um": returns the standard deviation of B in the rig's `unit`, "mm" or
+    "deg". A number without a unit is in um on a rig in mm, else in deg. UsageError where it is not a number above 0, or
+    where it is an angle on a rig in mm or a length on one in deg."""
     matched = re.fullmatch(r"\s*([0-9.]+(?:e[-+]?\d+)?)\s*(um|µm|mm|deg|)\s*", text)
     try:
         value = float(matched[1]) if matched else 0.0
@@ -166,14 +168,14 @@ def sigma_of(text: str, unit: str) -> float:
 
 
 def _command_has(option: str) -> bool:
-    """Whether the command that runs has this option."""
+    """Whether the running command has a parameter with this name; False where no command runs."""
     context = click.get_current_context(silent=True)
     return context is not None and any(each.name == option for each in context.command.params)
 
 
-def given(*names: str) -> list[str]:
-    """Of the running command's parameters with these names, those that stand in the command line, each by the name of
-    its option, such as "--tip"."""
+def options_given(*names: str) -> list[str]:
+    """The options that were given in the command line, such as "--tip", among the running command's parameters with
+    these names."""
     context = click.get_current_context()
     return [
         each.opts[0]
@@ -183,19 +185,20 @@ def given(*names: str) -> list[str]:
 
 
 def refuse_live_options(*more: str, because: str) -> None:
-    """UsageError where an option of a live set-up, or one of the parameters `more`, stands in the command line of a run
-    that is not live. because: the end of its text."""
-    if unused := given(*(field.name for field in fields(LiveOptions)), *more):
+    """Raises a UsageError if an option of LiveOptions, or of the parameters named in `more`, was given in the command
+    line; for a run that is not live. because: the end of the error's text."""
+    if unused := options_given(*(field.name for field in fields(LiveOptions)), *more):
         raise click.UsageError(f"only a live run uses {', '.join(unused)}: {because}")
 
 
 @contextmanager
-def opened(
+def opened_setup(
     live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None, picks: bool = False
 ) -> Iterator[Live]:
-    """A context with the live set-up of these options, opened. The rig is that of --rig, else the model's, else the
-    simulation's. seed: of a simulation; picks: a camera may be opened before the marker's colour is known. Afterwards
-    warns of frames that the camera lost. TautError or UsageError where options, rig and model do not go together."""
+    """A context that opens the live set-up of these options (board and camera, or a simulation) and yields it. The rig
+    is that of --rig, else the model's, else the simulation's. seed: of a simulation; picks: whether the camera may be
+    opened before the marker's colour is known. At the end it warns of frames that the camera dropped. TautError or
+    UsageError where options, rig and model do not go together."""
     from tautline.live.setup import CameraSource, open_live
     from tautline.vision.colour import MarkerColour
 
@@ -209,8 +212,8 @@ def opened(
             f"{rig_path}: its motor is in {rig.actuator.unit}, the model's in {model.rig.actuator.unit}: name the rig "
             "that the model was calibrated with, or leave --rig out"
         )
-    picks = picks or (rig is not None and rig.sees_from_tip)  # there is no marker
-    # Where the colour has to be there and is not, `load` says so.
+    picks = picks or (rig is not None and rig.sees_from_tip)  # a camera on the tip sees no marker
+    # If the colour's file is needed and missing, `load` raises an error that says so.
     reads_colour = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
     with open_live(
         board=live.board,
@@ -231,8 +234,9 @@ def opened(
             warn(f"{dropped} frames of the camera never came: ask it for fewer or smaller ones")
 
 
-def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
-    """Finds out by a short motion which shape of the library the shaft has now; returns its model and folder."""
+def recall_shape(setup: Live, library: Library) -> tuple[Model, Path]:
+    """Moves the motor a little to find out which shape of the library the shaft has now. Returns that shape's model and
+    the model's folder, and prints the shape's name on stderr."""
     from tautline.live.recalling import recall
 
     with progress_bar("recall") as progress:
@@ -242,8 +246,8 @@ def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
 
 
 def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
-    """The end of a result's text where the tracker has recognised another shape of the library than the model's; else
-    "". tracking: Following.summary."""
+    """The end of a result's text on the shape that a tracker has recognised; "" without a library or where it has
+    recognised none beside that of the model in use. tracking: what Following.summary returned."""
     if library is None or tracking["shape"] is None:
         return ""
     folder = library.folder / tracking["shape"]
@@ -251,8 +255,8 @@ def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
 
 
 def bus_text(bus: dict[str, Any]) -> str:
-    """The end of a result's text on the measured timing of motors on a bus of their own; "" for a board, where `bus`
-    (Board.bus) is empty."""
+    """The end of a result's text on the measured timing of motors on a bus of their own. bus: what Board.bus returned,
+    which is empty for a board, so that the text is ""."""
     if not bus:
         return ""
     return (
@@ -262,8 +266,9 @@ def bus_text(bus: dict[str, Any]) -> str:
 
 
 def tracking_text(tracking: dict[str, Any]) -> str:
-    """What a tracker learnt in use, and how far it moved the board's tables (offset in the rig's unit), for the end of
-    a result's text. tracking: Following.summary with a mover."""
+    """The end of a result's text on a tracker that may move the board's tables: the model's state and the reason for
+    it, and to which offset (the rig's unit) and scale of B the tables were moved. tracking: what Following.summary
+    returned, with a mover."""
     if tracking["state"] is None:
         return "not tracked: no frame came"
     moves = tracking["moves"]

@@ -1,4 +1,4 @@
-"""The topics as HTML: an index and a page each; what an effect does is drawn from the simulation."""
+"""The topics of `taut explain` as HTML pages, one each and an index; the pages of effects have simulated pictures."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from tautline.reports import figures, pages
 from tautline.simulated import instrument
 
 INDEX = "index.html"
-_TIMES = 4.0  # format: of the change that a user would notice, so that it is seen in a picture
-_CONTACT_DEG, _CONTACT_HOLD = 25.0, 0.9  # format: where a contact is drawn, within the motion's bending; its hold
-_PERIOD = 0.3  # format: of the motor's range, an encoder's turn as it is drawn
-_FEW = 5  # format: amplitudes that are shown together
+_TIMES = 4.0  # format: an effect is drawn this many times as large as a user would notice
+_CONTACT_DEG, _CONTACT_HOLD = 25.0, 0.9  # format: a contact's angle, within the motion's bending, and its hold
+_PERIOD = 0.3  # format: an encoder's turn as it is drawn, as a share of the motor's range
+_FEW = 5  # format: most amplitudes of an effect that are drawn together
 
 
 def write_all(folder: Path) -> Path:
-    """Writes the pages of all topics, and their index, into a folder, all or nothing; returns the path of the index.
-    TautError where the folder holds something else."""
+    """Writes the pages of all topics and their index into a folder, all or nothing, in place of earlier ones. Returns
+    the path of the index. TautError where the folder holds something else."""
     known = topics()
     with replaced_folder(folder, next(iter(known.values())).file) as target:
         for topic in known.values():
@@ -46,8 +46,8 @@ def write_all(folder: Path) -> Path:
 
 
 def picture(topic: Topic) -> pages.Picture | None:
-    """The picture on an effect's page; None for a topic that is no effect, and for an effect that changes no path but
-    only scatters."""
+    """The picture on an effect's page; None for a topic that is not an effect, and for an event (Kind.event), which
+    only adds scatter and has no path that could be drawn."""
     kind = effects.BY_ID.get(topic.code)
     if kind is None or kind.event:
         return None
@@ -61,9 +61,9 @@ def picture(topic: Topic) -> pages.Picture | None:
 
 @mpl.rc_context(figures.STYLE)
 def drawn(kind: Kind) -> Figure:
-    """Draws what an effect does on the reference instrument, simulated without and with it. Left the characteristic, or
-    the marker's track where only the image changes; right the difference over time, deg or px. In the motion
-    translation and rotation sway, and a load of 20 mNm comes half-way, so that each effect has what it needs."""
+    """A figure of what an effect does to the reference instrument, simulated under `_motion` without and with it. Left:
+    the angle over q, or the marker's track in the image for an effect that changes the image alone. Right: the
+    difference over time, deg or px."""
     rig = instrument.reference_rig()
     plant = instrument.preset("reference", rig)
     q = np.linspace(*rig.actuator.range, 201)
@@ -73,7 +73,7 @@ def drawn(kind: Kind) -> Figure:
     )
     motor = _motion()
     t_s = motor.t_s
-    values = parameters(kind, rig.actuator.span, float(t_s[-1]))
+    values = visible_parameters(kind, rig.actuator.span, float(t_s[-1]))
     without, with_it = (effects.simulate(model, motor, t_s, each) for each in ({}, values))
     by_angle = kind.through_angle or kind.stage == "acquisition"
     made_figure, axes = figures.figure(11, 3.4, 1, 2)
@@ -101,8 +101,9 @@ def drawn(kind: Kind) -> Figure:
 
 
 def _motion() -> Motor:
-    """The motion in which effects are drawn, q in mm: strokes of several lengths, translation and rotation that sway,
-    and a load of 20 mNm from half-way on."""
+    """The motion under which effects are drawn, q in mm at 100 Hz: strokes of several lengths, translation (2 mm) and
+    rotation (20 deg) that sway with a period of 9 s, and a load of 20 mNm from half-way on; so each effect has what it
+    depends on."""
     turns = [-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5]
     made = trajectory.through(turns, speed=2.5, acceleration=20.0, dwell_s=1.0)
     t_s, q = made.t_s[::10], made.q[::10]  # at 100 Hz
@@ -111,10 +112,11 @@ def _motion() -> Motor:
     return Motor(t_s, q, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load_mNm)
 
 
-def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
-    """Parameter values at which an effect is visible: amplitudes at _TIMES their scale, shapes at their first start.
-    span: of the motor's range, unit of q, for parameters that are shares of it; seconds: of the motion, in whose middle
-    happens what happens once."""
+def visible_parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
+    """Parameter values, by name, at which an effect is visible in a picture: amplitudes at _TIMES their scale, shape
+    parameters at the first value that a fit starts from. span: length of the motor's range, unit of q, for parameters
+    that are shares of it; seconds: length of the motion, in whose middle an effect happens that happens once. Of an
+    effect with many amplitudes, such as the pieces of a curve, one is set."""
     kind = kind.happening(1) if kind.moments else kind
     shown = kind.amplitudes
     if len(shown) > _FEW:  # a rigid motion's first part, or one piece of a curve

@@ -44,8 +44,9 @@ def command(board: str | None, as_json: bool) -> None:
 
 
 def _board_row(description: Any) -> dict[str, Any]:
-    """What the result says of one board that was found (a BoardAddress): address, serial number and protocol; and, from
-    opening it, firmware and axes, or "error". A board that another program uses is not opened."""
+    """The result's entry for one board that was found. description: its BoardAddress. The entry has its address, serial
+    number, protocol and whether another program uses it (busy). A board that is not busy is opened, which adds firmware
+    and axes, or `error` where that fails."""
     from tautline.device.board import Board
 
     row: dict[str, Any] = {
@@ -75,8 +76,8 @@ def _board_row(description: Any) -> dict[str, Any]:
 
 
 def _axis_row(board: Any, axis: int) -> dict[str, Any]:
-    """What the result says of one axis of an open board: mode, fault, table with model and instrument. None where it
-    has none, or the firmware does not say."""
+    """The result's entry for one axis of an open board: mode, fault, whether the motor is commissioned, and its table
+    with model, instrument and date. A value is None where there is none, or where the firmware does not tell."""
     from tautline import tables
     from tautline.device import wire
 
@@ -102,7 +103,7 @@ def _axis_row(board: Any, axis: int) -> dict[str, Any]:
 
 
 def _row_in_words(row: dict[str, Any]) -> str:
-    """A board's row (`_board_row`) as lines for a terminal."""
+    """A board's entry (`_board_row`) as text for a terminal: one line for the board and one for each axis."""
     if row.get("error"):
         return str(row["error"])
     if row["busy"]:

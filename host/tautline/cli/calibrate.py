@@ -27,7 +27,7 @@ from tautline.cli._live import (
     LiveOptions,
     free_recording,
     live_options,
-    opened,
+    opened_setup,
     refuse_live_options,
     sigma_of,
     until_option,
@@ -100,7 +100,7 @@ def command(
     fleet: Path | None,
     as_json: bool,
     kept: Path | None,
-    **live: Any,  # as `_calibrate_live` takes them
+    **live_arguments: Any,  # those of `_calibrate_live` that are not named above, LiveOptions (`live`) among them
 ) -> None:
     """Measure B(q) and f_remain: from recordings of one instrument, or live from a board and a camera.
 
@@ -109,16 +109,17 @@ def command(
     """
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
-        refuse_live_options("kept", *(name for name in live if name != "live"), because="leave them out, or RECORDING")
+        live_parameters = [name for name in live_arguments if name != "live"]
+        refuse_live_options("kept", *live_parameters, because="leave them out, or RECORDING")
         calibration, lines, proposed = _from_recordings(recording_paths, rig_path, out, options, fleet)
     else:
         if fleet is not None:
             raise click.UsageError("--prior goes with a RECORDING: record first, with 'taut record'")
-        if live["live"].camera is None and live["live"].simulate is None:
+        if live_arguments["live"].camera is None and live_arguments["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or free_recording(out.absolute())
-        calibration, lines, made = _calibrate_live(kept, rig_path, out, options, as_json=as_json, **live)
-        proposed = None  # what was missing was moved through, or it was said why not
+        calibration, lines, made = _calibrate_live(kept, rig_path, out, options, as_json=as_json, **live_arguments)
+        proposed = None  # the live motion went through all gaps already, or said why it could not
     quality = calibration.model.quality
     verdict = quality_lines(quality)
     if as_json:
@@ -137,9 +138,10 @@ def command(
 def _from_recordings(
     paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options, fleet: Path | None
 ) -> tuple[Calibration, list[str], dict[str, Any] | None]:
-    """Calibrates recordings and writes the MODEL folder `out`. Returns the calibration, the result in sentences, and
-    the motion that would measure B where it is not (file and seconds; None where there is no such place, or the model
-    is unusable). fleet: a folder of taut fleet, whose robots are the prior."""
+    """Calibrates on the recordings at `paths` and writes the MODEL folder `out`, with the motion that would measure B
+    where it was not measured yet. Returns the calibration, the result in sentences, and that motion's `file` and
+    `seconds`; None instead if B was measured everywhere or the model is unusable. fleet: output folder of `taut fleet`
+    whose robots are the prior; None: no prior."""
     recordings, rig = read_recordings(paths, rig_path)
     if fleet is not None:
         from tautline.fleet import prior
@@ -175,10 +177,12 @@ def _calibrate_live(
     seed: int,
     as_json: bool,
 ) -> tuple[Calibration, list[str], dict[str, Any]]:
-    """Calibrates on a board and a camera and writes the MODEL folder `out`. Returns the calibration, the result in
-    sentences, and how the motion went (the result's `motion`). kept: folder of the recording; until: sigma of B(q) as
-    text, "3um"; at_most_s: after which it ends; thorough: the paper's slow motion instead; speeds: the rig's unit per
-    second; video: the recording gets one; seed: of a simulation; as_json: no picture in the terminal."""
+    """Calibrates on a board and a camera, which moves the motor, and writes the MODEL folder `out`. Returns the
+    calibration, the result in sentences, and how the motion went (the result's `motion`). kept: folder to write the
+    recording to; live: the set-up; until: sigma of B(q) to reach, as text such as "3um", None: the default; at_most_s:
+    time, s, after which it ends; thorough: the paper's slow motion instead; speeds: the rig's unit per second; video:
+    whether frames are recorded; seed: of a simulation; as_json: no picture in the terminal. Warns where the goal was
+    not reached. UsageError for more than four speeds, or `thorough` with `until`."""
     from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
     from tautline.live.until import Goal, calibrate_until
@@ -188,7 +192,7 @@ def _calibrate_live(
     if thorough and until is not None:
         raise click.UsageError("--thorough is one motion, --until as many as it takes: choose one of them")
     goal_said: list[str] = []
-    with opened(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
+    with opened_setup(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
         unit = setup.rig.actuator.unit
         if thorough:
             passes = MotionOptions(speeds=speeds or None)

@@ -9,8 +9,8 @@ import click
 from tautline.cli._common import emit, json_option
 from tautline.cli._live import board_option
 
-_LOGGED_MAX = 48  # limit: pages of the log, and what waits for them
-_SHOWN = 10  # format: of these, where a person reads
+_LOGGED_MAX = 48  # limit: entries of the board's log, and those that wait to be stored
+_SHOWN = 10  # format: entries of the log in the text for a person
 
 
 @click.command("clear")
@@ -36,8 +36,9 @@ def command(board: str | None, axis: int | None, as_json: bool) -> None:
 
 
 def _clear_fault(board: Any, axis: int) -> dict[str, Any]:
-    """Clears the axis' fault, if it has one. Returns what it was (None: none), what is still wrong, and whether the
-    axis knows its position."""
+    """Clears the axis' fault, if it has one. Returns the axis' entry of the result: the fault that it had, with its
+    code and time (None: it had none), the fault that is left after clearing (None: none), and whether the axis knows
+    its position (referenced)."""
     from tautline.device import wire
 
     before = board.status(axis)
@@ -55,8 +56,8 @@ def _clear_fault(board: Any, axis: int) -> dict[str, Any]:
 
 
 def _fault_log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
-    """Reads the board's fault log, the newest first, of one axis or of all (None). None where its firmware keeps
-    none."""
+    """Reads the board's fault log, newest first, of one axis, or of all with axis=None. Returns None where the firmware
+    keeps no log."""
     from tautline.device import wire
 
     if board.identity.protocol_minor < wire.wire.SINCE["get_logged"]:
@@ -81,7 +82,8 @@ def _fault_log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
 
 
 def log_text(log: list[dict[str, Any]] | None) -> list[str]:
-    """The fault log as lines for a terminal; None: the board's firmware keeps none."""
+    """The newest _SHOWN entries of the fault log (`_fault_log`) as lines for a terminal; a line that says so for None,
+    which means that the firmware keeps no log."""
     if log is None:
         return ["no log: the board's firmware keeps none; 'taut update' brings one that does"]
     shown = log[:_SHOWN]
@@ -95,7 +97,7 @@ def log_text(log: list[dict[str, Any]] | None) -> list[str]:
 
 
 def _result_in_words(row: dict[str, Any]) -> str:
-    """An axis' row (`_clear_fault`) as lines for a terminal."""
+    """An axis' entry (`_clear_fault`) as text for a terminal: its fault, and whether that was cleared."""
     text = f"axis {row['axis']}: {row['fault'] or 'no fault'}"
     text += f" ('taut explain {row['code']}' says more)" if row["code"] else ""
     if row["left"]:

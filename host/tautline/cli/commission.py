@@ -9,7 +9,15 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, json_option, log, rig_option
-from tautline.cli._live import LiveOptions, axis_option, board_option, end_option, opened, simulate_option, way_option
+from tautline.cli._live import (
+    LiveOptions,
+    axis_option,
+    board_option,
+    end_option,
+    opened_setup,
+    simulate_option,
+    way_option,
+)
 from tautline.cli._outputs import Output
 from tautline.errors import TautError
 
@@ -71,7 +79,7 @@ def command(
         raise click.UsageError("--instrument takes 8 letters at most")
     figures.check_ending(out)
     options = LiveOptions(board, axis, camera=None, colour=Path(), simulate=simulate, at=None)  # colour: of no camera
-    with opened(options, rig_path) as live:
+    with opened_setup(options, rig_path) as live:
         if live.plant is not None:
             live.plant.end_at(*live.rig.actuator.range)
         commissioned = commission(
@@ -108,7 +116,7 @@ def command(
 
 
 def _stored_in_words(changed: Mapping[str, Any]) -> str:
-    """Which settings were stored with another value than before, by name, in words."""
+    """A text on the settings that were stored with another value than before. changed: their new values by name."""
     shown = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in changed.items()
     ]

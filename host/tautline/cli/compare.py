@@ -34,8 +34,8 @@ def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool
 
 
 def _names(paths: tuple[Path, ...]) -> list[str]:
-    """Names for the models at these paths: the folders' names, or whole paths if these are not unique. TautError where
-    a path is named twice."""
+    """Unique names for the models at these paths: the folders' names, or the whole paths if the folders' names are not
+    unique. TautError where a path is given twice."""
     names = [path.absolute().name for path in paths]
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]
@@ -45,11 +45,11 @@ def _names(paths: tuple[Path, ...]) -> list[str]:
 
 
 def _table(rows: list[dict[str, object]], first: Model) -> str:
-    """The rows of pages.comparison as a table for a terminal. first: the model that the others are compared with, whose
-    unit counts."""
+    """The rows of pages.comparison as the text of a table for a terminal. first: the model that the others are compared
+    with; the columns are in its rig's unit."""
     unit = first.rig.actuator.unit
     table = Table(box=None, pad_edge=False)
-    fine, per_unit = figures.finer(unit)
+    fine, per_unit = figures.fine_unit(unit)
     columns = {  # by title: key of a row, factor to the title's unit
         "model": ("model", 1.0),
         f"B mean ({unit})": ("width_mean", 1.0),
@@ -71,8 +71,8 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
 
 
 def _cell(value: object, factor: float) -> str:
-    """A value as a table's cell: a number times `factor` (to the column's unit) with four digits, what is below 1e-9 as
-    0, "-" for NaN; text as it is."""
+    """The text of a table's cell. A number is multiplied by `factor` (to the column's unit), rounded to 9 decimals and
+    written with four digits; "-" stands for NaN and infinities; any other value is written as it is."""
     if not isinstance(value, int | float | np.number):
         return str(value)
     return f"{round(factor * value, 9):.4g}" if np.isfinite(value) else "-"

@@ -33,9 +33,10 @@ def command(out: Path | None, instrument: str, seed: int, as_json: bool) -> None
 def run(
     out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Calibrates a simulated instrument (a preset's name), flashes its tables into a desktop board, and follows a
-    trajectory without and with them. Recording, MODEL and report are in `out`. progress: gets the share done, 0 to 1,
-    and a word; say: each step's result, a line. Returns the result of `taut demo --json`."""
+    """Calibrates a simulated instrument (`instrument`: a preset's name), flashes its tables into a simulated desktop
+    board, and follows a trajectory without and with them. Writes out/recording and out/model, which holds the report.
+    progress: is called with the share done, 0 to 1, and a word; say: is called with a line for each step's result.
+    Returns the result of `taut demo --json`."""
     from tautline import tables
     from tautline.folders import check_replaceable, replaced_folder
     from tautline.layouts import MOTOR
@@ -50,7 +51,7 @@ def run(
     check_replaceable(model_folder, MODEL_FILE)
 
     def part(low: float, high: float) -> Callable[[float, str], None]:
-        """Progress of a step that takes the shares low to high of the whole."""
+        """The progress function for a step that takes the whole's progress from the share `low` to `high`."""
         return lambda share, what: progress(low + (high - low) * share, what)
 
     with open_live(simulate=instrument, seed=seed) as live:
@@ -84,7 +85,7 @@ def run(
         f"{runs['full'].rms_deg:.3f} with the tables, {gain:.0f} times less"
     )
     return {
-        "report": _report(model_folder, runs),
+        "report": _write_report(model_folder, runs),
         "model": model_folder,
         "recording": recording_folder,
         "reversals": len(calibration.onsets),
@@ -97,8 +98,9 @@ def run(
     }
 
 
-def _report(model_folder: Path, runs: Mapping[str, Followed]) -> Path:
-    """Saves the runs, by compensation, in a MODEL folder, writes the model's report with them, and returns its path."""
+def _write_report(model_folder: Path, runs: Mapping[str, Followed]) -> Path:
+    """Saves the runs, by compensation, in a MODEL folder, writes the model's report again with them, and returns the
+    report's path."""
     from tautline.model import Model
     from tautline.reports import pages
     from tautline.reports.evidence import Evidence, Run
@@ -112,5 +114,5 @@ def _report(model_folder: Path, runs: Mapping[str, Followed]) -> Path:
 
 
 def _text(result: dict[str, Any]) -> str:
-    """The result for a person: which page to open."""
+    """The result as text for a person: which page to open."""
     return f"\nopen {result['report']}"

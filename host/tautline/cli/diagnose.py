@@ -20,7 +20,7 @@ from tautline.cli._common import (
     rig_option,
     warn_unusable,
 )
-from tautline.cli._live import LiveOptions, given, live_options, opened, refuse_live_options
+from tautline.cli._live import LiveOptions, live_options, opened_setup, options_given, refuse_live_options
 from tautline.cli._outputs import Output, folder_option
 from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
@@ -109,7 +109,7 @@ def command(
         )
         _print_diagnosis(diagnosis, out, as_json)
         return
-    if any(given("actuator", "tip", "scale", "workers")):
+    if any(options_given("actuator", "tip", "scale", "workers")):
         raise click.UsageError("--actuator, --tip, --scale and --workers go with --simulator")
     if is_live:
         if live.camera is None and live.simulate is None:
@@ -140,8 +140,8 @@ def command(
 
 
 def _print_diagnosis(diagnosis: Diagnosis, out: Path, as_json: bool) -> None:
-    """Prints a diagnosis as the command's result, and where more is said of what it found. out: its folder, for the
-    text."""
+    """Prints a diagnosis as the command's result, and then a hint for each effect that it names. out: the folder of the
+    diagnosis, which the text names."""
     emit(diagnosis.document, as_json, narration.text(diagnosis.document, str(out)))
     _log_topics(diagnosis.document)
 
@@ -157,15 +157,17 @@ def _diagnose_simulator(
     rig_path: Path | None,
     out: Path,
 ) -> Diagnosis:
-    """Diagnoses a simulator (`name`, of --simulator) against the robot's recordings at `paths`, and writes the
-    diagnosis into `out`. camera: one of the simulator's file, by which the marker's places become angles, None where
-    the recordings have angles or the rig's camera counts; scale: control per unit of q; workers: processes."""
+    """Diagnoses a simulator against the robot's recordings at `paths` and writes the diagnosis into `out`. name: the
+    value of --simulator; actuator, tip: those of its file; camera: a camera of its file, through which the marker's
+    positions are turned into angles, or None where the recordings have angles or the rig's camera is to be used; scale:
+    the actuator's control per unit of q, None: by the unit; workers: number of processes. UsageError without a
+    recording, or where the options do not go together."""
     if not paths:
         raise click.UsageError("name at least one recording of the robot")
     robots, rig = read_recordings(paths, rig_path)
     with progress_bar("diagnosing") as progress:
         if camera is not None:
-            tip, robots = _angle_through_camera(name, tip, camera, robots, rig)
+            tip, robots = _angles_through_camera(name, tip, camera, robots, rig)
         simulator = _open_simulator(name, actuator, tip, scale, rig)
         diagnosis = diagnose_simulator(
             simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text), workers
@@ -176,8 +178,8 @@ def _diagnose_simulator(
 
 
 def _open_simulator(name: str, actuator: str | None, tip: str | None, scale: float | None, rig: Rig) -> Simulator:
-    """Opens the simulator that --simulator names: MODULE:NAME, else an MJCF or URDF file, of which actuator, tip and
-    scale (control per unit of q) are. UsageError where a file's actuator or tip is missing."""
+    """Opens the simulator that --simulator names: a Python object, MODULE:NAME, or else an MJCF or URDF file, which
+    needs `actuator` and `tip` (UsageError without). scale: the actuator's control per unit of q, None: by the unit."""
     if source.is_python(name):
         return source.of_python(name)
     if actuator is None or tip is None:
@@ -185,20 +187,21 @@ def _open_simulator(name: str, actuator: str | None, tip: str | None, scale: flo
     return mjcf.simulator(name, actuator, tip, rig.actuator.unit, scale)
 
 
-def _angle_through_camera(
+def _angles_through_camera(
     name: str, tip: str | None, camera: str, robots: list[Recording], rig: Rig
 ) -> tuple[str, list[Recording]]:
-    """Turns the markers of the recordings into the angle of the hinge that moves the tip's site, as a camera of the
-    simulator's file sees it. Returns the --tip that then holds, joint:HINGE, and the recordings with angles."""
+    """Turns the marker's positions in the recordings into angles of the hinge that moves the site `tip`, as the camera
+    of the simulator's file `name` sees that site. Returns the value that --tip then has, joint:HINGE, and the
+    recordings with angles. UsageError where there is no file, or the tip is not site:NAME."""
     if source.is_python(name) or tip is None or not tip.startswith("site:"):
         raise click.UsageError("--camera goes with --simulator FILE and --tip site:S, which it sees")
     seen = sight(Path(name), tip.removeprefix("site:"), camera)
-    late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)  # by which frames are older than the angles they stand for
+    late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)  # a frame's delay beyond an angle sensor's
     return f"joint:{seen.hinge}", [seen.to_angle(robot, late_s) for robot in robots]
 
 
 def _log_topics(document: Mapping[str, Any]) -> None:
-    """Logs, for each effect that a diagnosis.json names, which topic says more of it."""
+    """Prints, for each effect that a diagnosis' document (diagnosis.json) names, where to read more about it."""
     for effect in document["effects"]:
         log(f"taut: 'taut explain {effect['id']}' says how to tell it and what mends it")
 
@@ -206,8 +209,9 @@ def _log_topics(document: Mapping[str, Any]) -> None:
 def _calibrate_first(
     recordings: list[Recording], rig: Rig, path: Path, progress: Progress
 ) -> tuple[Calibration, list[Recording]]:
-    """Calibrates on the first recording, and puts all recordings on the motor's clock; it is the first 30 % of the
-    progress. Warns where the calibration is unusable; path: of the first recording, for that."""
+    """Calibrates on the first recording. Returns the calibration and all recordings, put on the motor's clock. Prints a
+    warning where the calibration is unusable. path: of the first recording, for that warning; progress: is taken from 0
+    to 0.3."""
     calibration, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
     warn_unusable(calibration.model, path)
     return calibration, recordings
@@ -217,15 +221,16 @@ def _diagnose_live(
     calibration_path: Path | None, test_paths: tuple[Path, ...], rig_path: Path | None, kept: Path, live: LiveOptions,
     most: int, seed: int,
 ) -> Asked:  # fmt: skip
-    """Calibrates on the recording at calibration_path, or if that is None on one that is made here first, and diagnoses
-    live, with up to `most` recordings of motions on the board, from the tests at test_paths on. kept: the folder of
-    what is recorded; rig_path: of --rig; seed: of a simulation."""
+    """Calibrates, and then diagnoses live: up to `most` motions are made on the board and recorded into the folder
+    `kept`. The calibration is on the recording at calibration_path; if that is None one is made first, in
+    KEPT-calibration. The diagnosis begins with the recordings at test_paths, if any. rig_path: of --rig; seed: of a
+    simulation."""
     from tautline.live.asking import diagnose_live
     from tautline.live.until import calibrate_until
 
     paths = [calibration_path, *test_paths] if calibration_path else []
     made, rig = read_recordings(paths, rig_path) if paths else ([], None)
-    with opened(live, rig_path, seed) as setup, progress_bar("diagnosing") as progress:
+    with opened_setup(live, rig_path, seed) as setup, progress_bar("diagnosing") as progress:
         if calibration_path is None:
             calibration_path = kept.with_name(f"{kept.name}-calibration")
             progress(0.0, "calibrating")

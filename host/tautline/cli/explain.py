@@ -49,17 +49,18 @@ def command(code: str | None, folder: Path | None, as_json: bool) -> None:
         of_kind = [topic for topic in topics().values() if topic.kind == kind]
         listed += [topic.code for topic in of_kind]
         lines += ["", click.style(title, bold=True)]
-        lines += [f"  {topic.code:<40} {_first(topic.what)}" for topic in of_kind]
+        lines += [f"  {topic.code:<40} {_shortened(topic.what)}" for topic in of_kind]
     emit({"topics": listed}, as_json, "\n".join(lines[1:]))
 
 
-def _first(text: str) -> str:
-    """The beginning of a text, cut between words so that it fits a line of the list."""
+def _shortened(text: str) -> str:
+    """The beginning of a text, cut between words to at most 78 characters, so that it fits a line of the list."""
     return textwrap.shorten(text, 78, placeholder=" ...")
 
 
 def _topic_in_words(topic: Topic) -> str:
-    """A topic as text for a terminal."""
+    """A topic as text for a terminal: its code, what it is, how to tell it, what to do, a table of its rows, and
+    related topics; parts that the topic lacks are left out."""
     lines = [click.style(topic.code, bold=True), *textwrap.wrap(topic.what, _WIDTH)]
     for title, text in (("How to tell it", topic.tell), ("What to do", topic.mend)):
         if text:

@@ -15,8 +15,8 @@ from tautline.cli._live import axis_option, board_option
 if TYPE_CHECKING:
     from tautline.model import Model
 
-_FIXED = (0.0, 1.0, 1.0)  # of --adapt
-_MUCH = 0.1  # loss: of what there is to undo; plays that leave more are warned of
+_FIXED = (0.0, 1.0, 1.0)  # value of --adapt by which tables cannot be moved in use
+_MUCH = 0.1  # loss: share of what there is to undo; a warning is given where plays leave more
 
 
 @click.command("flash")
@@ -71,7 +71,7 @@ def command(
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
-    known = {column: Joint(number, resolution) for column, number, resolution in map(_joint, joints)}
+    known = {column: Joint(number, resolution) for column, number, resolution in map(_parse_joint, joints)}
     remains = not_undone(model, known)
     if remains and not without_effects:
         raise TautError(
@@ -110,8 +110,9 @@ def command(
 
 
 def _stand_in(model: Model) -> tuple[dict[str, Any] | None, str]:
-    """The plays that the board has instead of the model's hysteresis, as the command's JSON has them and as the end of
-    its sentence; None and "" where its tables hold that itself. Warns where they leave more than _MUCH undone."""
+    """The plays by which the board approximates a hysteresis of the model that its tables cannot hold. Returns them as
+    JSON, with the share `leaves` that they leave undone, and as the end of the command's text; None and "" for a model
+    without such a hysteresis. Warns where they leave more than the share _MUCH."""
     from tautline.undone import stands_in
 
     near = stands_in(model)
@@ -124,9 +125,9 @@ def _stand_in(model: Model) -> tuple[dict[str, Any] | None, str]:
     return plays, f"; {len(near.elements.width)} plays stand for its hysteresis, {leave}"
 
 
-def _joint(text: str) -> tuple[str, int, float]:
-    """COLUMN=AXIS:RESOLUTION as its three parts; the resolution is the column's unit per encoder count. UsageError
-    where it is none."""
+def _parse_joint(text: str) -> tuple[str, int, float]:
+    """Parses a value of --joint, COLUMN=AXIS:RESOLUTION: returns the column, the board's axis, and the resolution in
+    the column's unit per encoder count. UsageError where the text is not of this form."""
     column, _, rest = text.partition("=")
     axis, _, resolution = rest.partition(":")
     try:

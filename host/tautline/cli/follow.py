@@ -26,8 +26,8 @@ from tautline.cli._live import (
     LiveOptions,
     bus_text,
     live_options,
-    opened,
-    recalled,
+    opened_setup,
+    recall_shape,
     seed_option,
     shape_text,
     shapes_option,
@@ -97,9 +97,9 @@ def command(
     if model is None and library is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
     model_of_rig = model if model is not None or library is None else library.first()
-    with opened(live, rig_path, seed, model=model_of_rig) as setup:
+    with opened_setup(live, rig_path, seed, model=model_of_rig) as setup:
         if model is None and library is not None:
-            model, model_path = recalled(setup, library)
+            model, model_path = recall_shape(setup, library)
         if model is not None and model_path is not None:
             refuse_unusable(model, model_path, force)
             if track:
@@ -125,8 +125,9 @@ def command(
 
 
 def _warn_of_run(result: Any, trajectory: str) -> None:
-    """Warns of what a run (live.following.Followed) could not do: reach all of the trajectory, move the tables far
-    enough; and says how much telemetry was dropped."""
+    """Prints warnings after a run: where a part of the trajectory was beyond the tip's reach, and where the tables
+    could not be moved far enough; and how many telemetry samples were dropped, if any. result: a
+    live.following.Followed; trajectory: its name for the text."""
     if result.clipped:
         low, high = result.reach_deg
         warn(
@@ -140,7 +141,8 @@ def _warn_of_run(result: Any, trajectory: str) -> None:
 
 
 def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
-    """Saves a run (live.following.Followed) in the model's folder, and writes the model's report anew with it."""
+    """Saves the run `result` (a live.following.Followed) in the model's folder, and writes the model's report again
+    with it. compensation: that of the run, which replaces an earlier run with the same."""
     from tautline.reports import pages
     from tautline.reports.evidence import Evidence, Run
 
@@ -150,7 +152,7 @@ def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> 
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
-    """A run (live.following.Followed) as the command's result. out: of its recording."""
+    """The command's result for --json from a run, a live.following.Followed. out: folder of its recording, or None."""
     return {
         "compensation": compensation,
         "seconds": _seconds(result),
@@ -167,12 +169,13 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
 
 
 def _seconds(result: Any) -> float:
-    """For how long a run was seen, s; 0 where it never was."""
+    """The time, s, from the first to the last sample of a run; 0 where it has no samples."""
     return float(np.ptp(result.t_s)) if len(result.t_s) else 0.0
 
 
 def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str:
-    """A run (live.following.Followed) in words. library: of shapes, if one was named."""
+    """The command's text for a person from a run, a live.following.Followed. out: folder of its recording, or None;
+    library: of shapes, or None."""
     text = f"followed {_seconds(result):.1f} s, compensation {compensation}"
     if len(result.error_deg):
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"

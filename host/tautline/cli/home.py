@@ -7,7 +7,15 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import NumberRange, emit, json_option, rig_option
-from tautline.cli._live import LiveOptions, axis_option, board_option, end_option, opened, simulate_option, way_option
+from tautline.cli._live import (
+    LiveOptions,
+    axis_option,
+    board_option,
+    end_option,
+    opened_setup,
+    simulate_option,
+    way_option,
+)
 
 
 @click.command("home")
@@ -55,7 +63,7 @@ def command(
 
     direction = -1 if way == "low" else 1
     live = LiveOptions(board, axis, camera=None, colour=Path(), simulate=simulate, at=None)  # colour: of no camera
-    with opened(live, rig_path) as setup:
+    with opened_setup(live, rig_path) as setup:
         low, high = setup.rig.actuator.range
         if setup.plant is not None:
             setup.plant.end_at(low, high)

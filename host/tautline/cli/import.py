@@ -21,7 +21,7 @@ from tautline.io.importing import (
 )
 from tautline.rig import UNITS
 
-_LISTED = 60  # format: channels that a person is shown
+_LISTED = 60  # format: most channels, or recordings, in the text for a person
 
 
 @click.command("import")
@@ -85,8 +85,9 @@ def command(
 def _print_proposal(
     source: Source, roles: Roles, out: Path | None, unit: str | None, episode: int | None, time_name: str, as_json: bool
 ) -> None:
-    """Prints, as the command's result, which channels the source has, what each would be taken for, and the whole
-    command that imports it so. roles: those that the user named; unit: of q; the others as of the command's options."""
+    """Scans the source and prints, as the command's result, its channels, a proposal which channel has which role, and
+    the whole command line that would import it so. roles: those that the user named already; unit: of q, None: not
+    known; the other arguments are the command's options."""
     with progress_bar("reading") as progress:
         listing = scan(source, episode, progress)
     found = propose(listing, named_roles(roles, listing, source, unit))
@@ -126,8 +127,8 @@ def _print_proposal(
 
 
 def _proposal_page(source: Source, listing: Listing, notes: tuple[str, ...], text: str) -> str:
-    """`_print_proposal`'s text for a person: a table of the channels that move, the notes on what each is taken for,
-    and the proposed command `text`, if any."""
+    """The text for a person of `_print_proposal`: a table of the channels whose values change and of the videos, the
+    notes on the proposal, and the proposed command line `text`, or "" where nothing is proposed."""
     moving = [c for c in listing.channels.values() if c.moves]
     many = len(source.episodes())
     head = f"{source.path}: {source.kind}" + (f", {many} episodes, this is {listing.episode}" if many > 1 else "")
@@ -137,7 +138,7 @@ def _proposal_page(source: Source, listing: Listing, notes: tuple[str, ...], tex
         for c in moving[:_LISTED]
     ]
     rows += [(name, "video", "", "", "", "", "") for name in listing.videos]
-    used = [k for k in range(7) if any(row[k] for row in rows[1:])]
+    used = [k for k in range(7) if any(row[k] for row in rows[1:])]  # columns that are not empty
     widths = {k: max(len(row[k]) for row in rows) for k in used}
     lines = [head, ""]
     lines += [

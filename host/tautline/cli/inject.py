@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, json_option
-from tautline.cli._live import LiveOptions, axis_option, opened, simulate_option
+from tautline.cli._live import LiveOptions, axis_option, opened_setup, simulate_option
 from tautline.errors import TautError
 
 
@@ -38,13 +38,13 @@ def command(
     if fault not in faults.FAULTS and not (fault == "well" and sim is not None):
         raise click.UsageError(f"no fault '{fault}': choose one of {', '.join(faults.FAULTS)}")
     if sim is not None:
-        _inject(sim, axis, fault)
+        _inject_by_port(sim, axis, fault)
         emit({"fault": fault, "axis": axis, "sim": sim}, as_json, f"axis {axis}: {fault}")
         return
     options = LiveOptions(
         board=None, axis=axis, camera=None, colour=Path(), simulate=simulate or "reference", at=None
     )  # fmt: skip
-    with opened(options, rig_path=None) as live:
+    with opened_setup(options, rig_path=None) as live:
         seen = faults.show(live, fault)
         unit = live.rig.actuator.unit
     what = faults.FAULTS[fault].what
@@ -56,9 +56,9 @@ def command(
     )
 
 
-def _inject(port: int, axis: int, fault: str) -> None:
-    """Causes a fault on a simulated board that another process uses, by the port of its sim link; "well" takes faults
-    back and plugs the board in again."""
+def _inject_by_port(port: int, axis: int, fault: str) -> None:
+    """Causes a fault on an axis of a simulated board that runs in another process; port: of that board's sim link. The
+    fault "well" takes all faults of the axis back and plugs the board in again."""
     from tautline.live import faults
     from tautline.simulated.simlink import SimLink
 

@@ -24,7 +24,7 @@ from tautline.cli._live import (
     free_recordings,
     live_options,
     motion_option,
-    opened,
+    opened_setup,
     refuse_live_options,
     seed_option,
     sigma_of,
@@ -115,13 +115,13 @@ def command(
 
 
 def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
-    """Serves a page for live calibrations, each until the sigma `until` (text, "3um") is reached, with the MODEL in
-    `out`. Returns the command's result: `says`, the last message ("" if nothing was started), `model` and `quality`
-    (None if there was no calibration)."""
+    """Serves a page for live calibrations, each of which goes on until the sigma `until` (text such as "3um", None: the
+    default) is reached and writes its MODEL to `out`. Returns the command's result: `says`, the last message, "" if
+    nothing was started; `model`, the folder, and `quality`, both None if there was no calibration."""
     from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
 
-    with opened(live, rig_path, seed, picks=True) as setup, setup.interruptible():
+    with opened_setup(live, rig_path, seed, picks=True) as setup, setup.interruptible():
         goal = Goal(None if until is None else sigma_of(until, setup.rig.actuator.unit))
         colour_file = live.colour if live.simulate is None else None
         work = Calibrating(setup, out, lambda: free_recording(out.absolute()), goal, colour_file)
@@ -133,20 +133,22 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 def _watch(
     live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
 ) -> dict[str, Any]:
-    """Serves a page on which the model at `path` is kept calibrated while `motion` runs at `speed`, the rig's unit per
-    second. Returns the command's result."""
+    """Serves a page on which the model at `path` is kept calibrated while the motor makes `motion` (of --motion) at
+    `speed`, the rig's unit per second (None: the default). Returns the command's result: `says`, the last message, and
+    the model's path."""
     from tautline.live.page.work import Watching
 
     model = Model.load(path)
     warn_unusable(model, path)
     warn_tracked_alone(model)
-    with opened(live, rig_path, seed, model=model) as setup, setup.interruptible():
+    with opened_setup(live, rig_path, seed, model=model) as setup, setup.interruptible():
         return {"says": _serve_page(Watching(setup, model, motion, speed, seed=seed)), "model": path}
 
 
 def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
-    """Serves a page for a live diagnosis of the instrument that the recording at `path` calibrates, written to `out`.
-    Returns the command's result; its `diagnosis` is None if there was none."""
+    """Calibrates on the recording at `path` and serves a page for a live diagnosis of that instrument, which is written
+    to `out`. Returns the command's result: `says`, the last message, and `diagnosis`, the folder, or None if there was
+    no diagnosis."""
     from tautline.diagnosis.recorded import calibrated
     from tautline.live.page.work import Diagnosing
 
@@ -154,7 +156,7 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
     with progress_bar("calibrating") as progress:
         calibration, recordings = calibrated(recordings, rig, progress)
     warn_unusable(calibration.model, path)
-    with opened(live, rig_path, seed, model=calibration.model) as setup, setup.interruptible():
+    with opened_setup(live, rig_path, seed, model=calibration.model) as setup, setup.interruptible():
         work = Diagnosing(setup, calibration, recordings, out, lambda: free_recordings(out.absolute()))
         says = _serve_page(work)
     found = work.found
@@ -164,8 +166,8 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
-    """Serves a page on which the recording at `path` is played again, `pace` times as fast. Returns the command's
-    result."""
+    """Serves a page on which the recording at `path` is played again at `pace` times its own speed. Returns the
+    command's result: `says`, the last message, and the recording's path."""
     from tautline.live.page.work import Replaying
     from tautline.vision.marker import with_marker
 
@@ -176,8 +178,8 @@ def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
 
 
 def _serve_page(work: Any) -> str:
-    """Serves the page of a work (live.page.work.Work) until Ctrl-C; returns the last message, "" if nothing was
-    started."""
+    """Serves the page of `work` (a live.page.work.Work) until Ctrl-C, and prints its address and messages. Returns the
+    last message, "" if nothing was started."""
     from tautline.live.page.desk import Desk
     from tautline.live.page.server import serving
     from tautline.live.page.work import attend
@@ -185,7 +187,7 @@ def _serve_page(work: Any) -> str:
     last_message = ""
 
     def say(text: str) -> None:
-        """Keeps and logs what came of a run."""
+        """Prints a message on what came of a run, and keeps it as the last one."""
         nonlocal last_message
         last_message = text
         log(f"taut: {text}")

@@ -23,21 +23,22 @@ from tautline.vision.region import Region
 from tautline.vision.ros_camera import RosCamera, is_topic
 from tautline.vision.sighting import Sighting
 
-_STILL_FRAMES = 60  # tolerance: that are tracked to say how well the marker can be seen
-_SPREAD = 12  # tolerance: frames from all over a video in which the marker is looked for
-_SEARCHED_LINES = 480  # tolerance: of a picture, at least, in which it is looked for
-_WARM_UP = 15  # prior: frames of a device that pass while it finds its exposure
+_STILL_FRAMES = 60  # tolerance: first frames, tracked to say how well the marker can be seen
+_SPREAD = 12  # tolerance: frames from all over a video, in which the colour is looked for
+_SEARCHED_LINES = 480  # tolerance: least height of a picture in which the colour is looked for, px
+_WARM_UP = 15  # prior: frames that a camera needs to find its exposure
 
 
 class _Square(click.ParamType):  # type: ignore[type-arg]
-    """An option's square of a picture, U,V or U,V,SIDE."""
+    """A type of options: a square in a picture, written U,V or U,V,SIDE."""
 
     name = "U,V[,SIDE]"
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[float, float, float]:
-        """The middle (u, v) px and the side, px, of a square; without a side the usual one."""
+        """Parses the option's value: returns the square's middle u, v and its side, px, without SIDE the usual one. A
+        usage error where the value is not two or three numbers."""
         try:
             u, v, *side = (float(part) for part in str(value).split(","))
             (long,) = side or (USUAL_PX,)
@@ -49,12 +50,12 @@ class _Square(click.ParamType):  # type: ignore[type-arg]
 
 
 class _Place(click.ParamType):  # type: ignore[type-arg]
-    """An option's place in a picture, U,V."""
+    """A type of options: a place in a picture, written U,V."""
 
     name = "U,V"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        """A place (u, v) px."""
+        """Parses the option's value: returns the place u, v, px. A usage error where the value is not two numbers."""
         try:
             u, v = (float(part) for part in str(value).split(","))
         except ValueError:
@@ -110,7 +111,9 @@ def command(
     seen = _track(MarkerTracker(colour), pictures, "how well the marker is seen")
     valid = [s for s in seen if s.valid]
     if not valid:
-        raise TautError(f"{source}: a colour was found at {_where(colour)} but no marker: {seen[0].lost}; try --at U,V")
+        raise TautError(
+            f"{source}: a colour was found at {_place_in_words(colour)} but no marker: {seen[0].lost}; try --at U,V"
+        )
     first = seen.index(valid[0])
     _save(colour, out)
     cv2.imwrite(str(shown), _marker_picture(pictures[first], colour, seen[first]))
@@ -131,8 +134,8 @@ def command(
 
 
 def _track(tracker: MarkerTracker | PatchTracker, pictures: Sequence[np.ndarray], doing: str) -> list[Sighting]:
-    """Tracks what the tracker follows through BGR pictures, one after the other, with a progress bar; doing: its text.
-    Returns a sighting per picture."""
+    """Runs a tracker over BGR pictures (height, width, 3), one after the other, and returns a sighting for each. Shows
+    a progress bar with the text `doing`."""
     seen = []
     with progress_bar("tracking") as progress:
         for k, picture in enumerate(pictures):
@@ -142,12 +145,13 @@ def _track(tracker: MarkerTracker | PatchTracker, pictures: Sequence[np.ndarray]
 
 
 def _median_sigma_px(sightings: Sequence[Sighting]) -> float:
-    """The median of the sightings' sigma, px: how exactly a position is usually measured."""
+    """The median standard deviation of the sightings' positions, px. sightings: valid ones, at least one."""
     return float(np.median([s.sigma_px for s in sightings]))
 
 
 def _marker_in_words(colour: MarkerColour, sighting: Sighting, sigma_px: float) -> str:
-    """Where the marker is by a sighting, its colour, and how exactly it is seen, in words."""
+    """A text on the marker: its position and diameter by a sighting, its colour, and sigma_px, the usual standard
+    deviation of a position."""
     blue, green, red = (round(level) for level in colour.colour)
     return (
         f"marker at {sighting.u_px:.1f}, {sighting.v_px:.1f} px, {sighting.diameter_px:.1f} px wide, "
@@ -156,10 +160,11 @@ def _marker_in_words(colour: MarkerColour, sighting: Sighting, sigma_px: float) 
 
 
 def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
-    """The command with --region: keeps a square (u, v, side), px, of the source's first picture as a place to follow,
-    in `out`, after trying whether it can be followed; prints the result."""
+    """Does the command's work with --region: takes a square (u, v, side), px, of the source's first picture as the
+    region to follow, tries whether it can be followed in the first pictures (TautError if in none), writes the region
+    and pictures of it to `out` and beside it, and prints the result."""
     shown = out.with_suffix(".look.png")
-    for written in (out, out.with_suffix(".png"), shown):  # the second is the region's own
+    for written in (out, out.with_suffix(".png"), shown):  # the second is written by Region.save
         check_no_input(written, Path(source))
     pictures, _ = _pictures(source)
     region = Region(at=square[:2], side_px=square[2], picture=np.asarray(pictures[0], dtype=np.uint8))
@@ -185,8 +190,8 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
 
 
 def _save(what: MarkerColour | Region, out: Path) -> None:
-    """Writes a colour or a region to `out`, and makes its folder if that is missing. TautError where it cannot be
-    written."""
+    """Writes a colour or a region to the file `out`, whose folder is made if it is missing. TautError where it cannot
+    be written."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         what.save(out)
@@ -195,8 +200,8 @@ def _save(what: MarkerColour | Region, out: Path) -> None:
 
 
 def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
-    """What is kept for a person to look at: the BGR picture with the region drawn in, and beside it the region enlarged
-    to the picture's height."""
+    """A BGR picture for a person to check the region by: on the left `picture` with the region's square drawn in, on
+    the right the region enlarged to the picture's height."""
     drawn = picture.copy()
     corners = np.rint(np.array(region.at) + 0.5 * region.side_px * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     cv2.polylines(drawn, [corners.astype(np.int32)], True, (255, 255, 255), 1, cv2.LINE_AA)
@@ -206,16 +211,17 @@ def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
 
 
 def _file_beside(source: str, name: str) -> Path:
-    """Where the file `name` is looked for by other commands, and so written by default: beside the source if that is a
-    video, else in the working directory."""
+    """The default path of the file `name`, at which other commands look for it: beside the source if that is a video's
+    file, else in the working directory."""
     video = Path(source)
     return (video.parent if video.is_file() and not cv2.haveImageReader(source) else Path()) / name
 
 
 def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Pictures of a source, BGR (height, width, 3) uint8: the first ones, in which tracking is tried, and some spread
-    over all of it (of a camera over the first ones), in which the colour is found. A picture file is both. A camera by
-    its number first gets time to find its exposure. TautError where there are none."""
+    """Two lists of pictures of a source, BGR (height, width, 3) uint8. The first has up to _STILL_FRAMES consecutive
+    frames from its beginning, in which tracking is tried. The second, in which the colour is looked for, has frames
+    from all over a video, or some of the first list for a camera. A picture file is the only element of both. A camera
+    that is named by its number first gets time to find its exposure. TautError where there are no frames."""
     if source.isdigit() and not Path(source).exists():
         with VideoCamera(int(source)) as camera:
             for _ in range(_WARM_UP):
@@ -233,9 +239,10 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
-    """The marker's colour in BGR pictures of one scene; None where nothing stands out. Large pictures are searched
-    shrunk, which is faster and enough to see what stands out; the colour is then picked at full size."""
-    shrink = min(pictures[0].shape[:2]) // _SEARCHED_LINES
+    """The marker's colour in BGR pictures of one scene; None where no colour stands out. Large pictures are searched
+    shrunk, which is faster: the marker found there is tracked at full size, and its colour picked anew where it is
+    seen. Where that fails, as for a marker of a few pixels, the pictures are searched at full size."""
+    shrink = min(pictures[0].shape[:2]) // _SEARCHED_LINES  # the factor by which pictures can be shrunk
     if shrink < 2:
         return find_colour(pictures)
     small = [cv2.resize(p, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA) for p in pictures]
@@ -252,16 +259,17 @@ def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
     return find_colour(pictures)
 
 
-def _where(colour: MarkerColour) -> str:
-    """Where a colour was picked, as text."""
+def _place_in_words(colour: MarkerColour) -> str:
+    """The place in the picture at which a colour was picked, as text."""
     return f"{colour.at[0]:.0f}, {colour.at[1]:.0f} px"
 
 
 def _marker_picture(picture: np.ndarray, colour: MarkerColour, sighting: Sighting) -> np.ndarray:
-    """What is kept for a person to look at: the BGR picture with a ring around the marker, and beside it its membership
-    in the marker's colour, grey, with the marker enlarged in the corner."""
+    """A BGR picture for a person to check the colour by: on the left `picture` with a ring and four lines around the
+    marker, on the right, in grey, how much each pixel has the marker's colour, with the marker enlarged in its corner
+    if there is room."""
     ringed = picture.copy()
-    # 16 times: OpenCV's fixed point with 4 bits behind the point, so that the ring lies to a part of a pixel.
+    # OpenCV draws at fractions of a pixel if coordinates are fixed-point numbers with 4 fractional bits: times 16.
     centre = np.rint([sighting.u_px * 16, sighting.v_px * 16]).astype(int).tolist()
     cv2.circle(ringed, centre, round((0.5 * sighting.diameter_px + 4) * 16), (255, 255, 255), 1, cv2.LINE_AA, 4)
     for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):

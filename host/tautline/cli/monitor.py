@@ -33,8 +33,8 @@ def command(board: str | None, once: bool, as_json: bool) -> None:
 
 
 def _board_state(board: Any) -> dict[str, Any]:
-    """Asks the board for the status of all its axes (codes become words), its counters, and, by 4 round trips, how well
-    its clock is known, s: the command's result."""
+    """Asks the board for its state and returns it as the command's result: the status of each axis, with codes turned
+    into words; its counters; and the error, s, of the clock's alignment, which is done anew by 4 round trips."""
     from tautline.device import wire
 
     axes = []
@@ -49,12 +49,12 @@ def _board_state(board: Any) -> dict[str, Any]:
         "board": board.identity.serial,
         "axes": axes,
         "counters": dict(board.counters().values),
-        "clock_error_s": board.align(4),  # of what the host takes for the board's time
+        "clock_error_s": board.align(4),  # of the board's time as the host knows it
     }
 
 
 def _axis_line(axis: dict[str, Any]) -> str:
-    """An axis of `_board_state` in a line for a terminal."""
+    """One axis' status, of `_board_state`, as a line for a terminal."""
     return (
         f"axis {axis['axis']}: {axis['fault'] or axis['mode']}, q {axis['q']:.1f} counts (to {axis['q_ref']:.1f}), "
         f"c {axis['c_est']:.3f} deg (to {axis['c_ref']:.3f}), drive {100 * axis['duty']:.0f} %, table {axis['table']}"
@@ -62,8 +62,8 @@ def _axis_line(axis: dict[str, Any]) -> str:
 
 
 def _table(state: dict[str, Any]) -> Any:
-    """`_board_state` as rich's table for a terminal; below it those counters of lost or damaged messages that are
-    not 0."""
+    """The state that `_board_state` returned as a table of rich, a row for each axis. Below it stand the counters of
+    lost or damaged messages that are not 0, and how well the clocks agree."""
     from rich.table import Table
 
     table = Table(title=f"board {state['board']}")

@@ -7,7 +7,15 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import NumberRange, emit, json_option, progress_bar, rig_option, warn
-from tautline.cli._live import LiveOptions, bus_text, live_options, motion_option, opened, seed_option, speed_option
+from tautline.cli._live import (
+    LiveOptions,
+    bus_text,
+    live_options,
+    motion_option,
+    opened_setup,
+    seed_option,
+    speed_option,
+)
 from tautline.cli._outputs import folder_option
 
 
@@ -36,7 +44,7 @@ def command(
     from tautline.live.following import record
     from tautline.live.setup import CameraSource
 
-    with opened(live, rig_path, seed) as setup, progress_bar("record") as progress:
+    with opened_setup(live, rig_path, seed) as setup, progress_bar("record") as progress:
         result = record(setup, out, motion, speed=speed, duration_s=duration, video=video, seed=seed, progress=progress)
         camera = setup.marker_source.says if isinstance(setup.marker_source, CameraSource) else {}
     if result["other_axes"]:

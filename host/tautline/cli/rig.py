@@ -31,17 +31,18 @@ from tautline.rigging.picture import picture
 from tautline.vision.camera import read_picture, sample_video
 from tautline.vision.marker import with_marker
 
-_VIEWS = 60  # tolerance: of a video; a board that is moved slowly is then seen from everywhere
+_VIEWS = 60  # tolerance: frames of a video; enough to see a board that is moved slowly from everywhere
 _BY_MOTION = ("coarse", "hand_eye")  # the sections of rig.toml that --motion measures
 
 
 class _Squares(click.ParamType):  # type: ignore[type-arg]
-    """An option's numbers of squares, ACROSSxDOWN."""
+    """A type of options: a board's numbers of squares, written ACROSSxDOWN."""
 
     name = "ACROSSxDOWN"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """How many squares a board has across and down."""
+        """Parses the option's value: returns the numbers of squares across and down. A usage error where these are not
+        two whole numbers above 0."""
         try:
             across, down = (int(part) for part in str(value).lower().split("x"))
             if min(across, down) < 1:
@@ -102,6 +103,7 @@ def command(
         check_no_input(shown, motion, *board)
     if not board and (squares or square_mm is not None or marker_mm is not None):
         raise click.UsageError("--squares, --square-mm and --marker-mm are of a --board: name its pictures or video")
+    # The document grows in steps: --from and --set, then the camera from --board, then its pose from --motion.
     document = _first_document(start, given)
     if sensor == ANGLE and (board or motion):
         raise click.UsageError("--board and --motion are for a camera: leave --sensor angle out")
@@ -111,16 +113,17 @@ def command(
     result: dict[str, Any] = {"file": out, "sensor": sensor}
     lines: list[str] = []
     if board:
-        seen = _intrinsics(board, squares, square_mm, marker_mm, dictionary)
+        seen = _fit_intrinsics(board, squares, square_mm, marker_mm, dictionary)
         document["camera"] = {**document.get("camera", {}), **seen.camera()}
         result["camera"] = {"sigma": seen.sigma, "rms_px": seen.rms_px, "views": seen.views, "of": seen.of}
         lines.append(seen.in_words())
     if motion is not None:
+        # What the motion measures replaces what was there; the measurement needs all other keys before.
         document = {name: section for name, section in document.items() if name not in _BY_MOTION}
         _ask_for_keys(document, sensor, without=_BY_MOTION)
-        places, found, law, left_deg = _from_known_angles(document, motion, angles, angle_sigma)
-        document["coarse"] = _rounded(asdict(law))
-        document["hand_eye"] = _rounded(asdict(found.hand_eye))
+        places, found, law, left_deg = _measure_by_known_angles(document, motion, angles, angle_sigma)
+        document["coarse"] = _rounded_section(asdict(law))
+        document["hand_eye"] = _rounded_section(asdict(found.hand_eye))
         lines += [found.in_words(), _coarse_in_words(law, left_deg, document["actuator"]["unit"])]
         result["hand_eye"] = _hand_eye_result(found, places)
     _ask_for_keys(document, sensor)
@@ -136,7 +139,8 @@ def command(
 
 
 def _coarse_in_words(law: Coarse, left_deg: float, unit: str) -> str:
-    """The coarse law that was measured, in words. left_deg: rms of its residual; unit: of q."""
+    """A text on the coarse law that was measured, c = gain q + offset. left_deg: rms of its residual, deg, backlash
+    included; unit: of q."""
     return (
         f"coarse: gain {law.gain:.4g} deg per {unit}, offset {law.offset:.3g} deg; "
         f"{left_deg:.2g} deg are left, play among it"
@@ -144,9 +148,10 @@ def _coarse_in_words(law: Coarse, left_deg: float, unit: str) -> str:
 
 
 def _hand_eye_result(found: HandEyeFit, places: Places) -> dict[str, Any]:
-    """A hand-eye fit's accuracy as JSON: `sigma` of rx ry rz (deg) and x y z (mm); `left_px`, the rms residual per
-    coordinate; `strays`, the rms of all residuals over their stated sigmas; `measured_angle_sigma_deg`, the lowest and
-    the highest sigma of an angle that is measured with this transform; and to how many `places` it was fitted."""
+    """The accuracy of a hand-eye fit, for the command's result: `sigma` of rx ry rz (deg) and x y z (mm); `left_px`,
+    the rms residual per coordinate; `strays`, the rms of all residuals over their stated sigmas;
+    `measured_angle_sigma_deg`, the lowest and the highest sigma of an angle that is measured with this transform; and
+    `places`, the number of places that it was fitted to."""
     return {
         "sigma": found.sigma,
         "left_px": found.left_px,
@@ -157,8 +162,9 @@ def _hand_eye_result(found: HandEyeFit, places: Places) -> dict[str, Any]:
 
 
 def _first_document(start: Path | None, given: tuple[str, ...]) -> rig_keys.Document:
-    """The document of rig.toml to begin with: that of the file `start` if there is one, with the keys of --set
-    (`given`, KEY=VALUE each). TautError for a key that there is not, or a value that it refuses."""
+    """The rig.toml's document (sections of keys) to begin with: that of the file `start`, or for None one without keys,
+    with the keys set that `given` names, each as KEY=VALUE (of --set). TautError for an unknown key or a value that it
+    does not take."""
     document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
     for text in given:
         name, equals, value = text.partition("=")
@@ -169,7 +175,7 @@ def _first_document(start: Path | None, given: tuple[str, ...]) -> rig_keys.Docu
 
 
 def _ask_for_sensor() -> Sensor:
-    """Which sensor the rig has: asked for in a terminal; elsewhere MARKER, a camera that sees a marker."""
+    """The rig's sensor: asks the user in a terminal; without a terminal MARKER, a camera that sees a marker."""
     if not sys.stdin.isatty():
         return MARKER
     return (
@@ -180,14 +186,15 @@ def _ask_for_sensor() -> Sensor:
 
 
 def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:
-    """Completes a rig.toml's document: asks in a terminal for each required key that it lacks, again until the answer
-    fits; elsewhere raises a TautError that names all of them. without: sections that are not asked for."""
+    """Adds to a rig.toml's document each required key that it lacks, by asking the user in a terminal, again until the
+    answer fits. Without a terminal raises a TautError that names all missing keys. without: sections that may lack
+    keys."""
     left = [(section, key) for section, key in rig_keys.missing(document, sensor) if section.name not in without]
     if left and not sys.stdin.isatty():
         raise TautError(
             "not known yet, with a value as an example"
             + (" (--board measures the camera, --motion its place): " if sensor == MARKER else ": ")
-            + " ".join(f"--set {s.name}.{k.name}={_compact(rig_keys.example(k))}" for s, k in left)
+            + " ".join(f"--set {s.name}.{k.name}={_without_spaces(rig_keys.example(k))}" for s, k in left)
         )
     section_said = ""
     for section, key in left:
@@ -204,21 +211,21 @@ def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[st
                 log(f"  {error}")
 
 
-def _compact(text: str) -> str:
-    """A text without spaces, so that it is one word in a shell."""
+def _without_spaces(text: str) -> str:
+    """The text without its spaces, so that it is one word in a shell."""
     return text.replace(" ", "")
 
 
-def _intrinsics(
+def _fit_intrinsics(
     sources: tuple[Path, ...],
     squares: tuple[int, int] | None,
     square_mm: float | None,
     marker_mm: float | None,
     dictionary: str,
 ) -> Intrinsics:
-    """The camera's intrinsics from pictures or videos of a ChArUco board. squares: how many across and down; square_mm,
-    marker_mm: sides of a square and of the marker in it; dictionary: of the markers. Warns of what is doubtful.
-    TautError where one of them is None."""
+    """Fits the camera's intrinsics to pictures or videos of a ChArUco board and prints a warning for each doubt about
+    them. squares: numbers across and down; square_mm, marker_mm: sides of a square and of the marker in it; dictionary:
+    of the markers. TautError where one of squares, square_mm and marker_mm is None."""
     if squares is None or square_mm is None or marker_mm is None:
         raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
     pictures = []
@@ -232,15 +239,15 @@ def _intrinsics(
     return seen
 
 
-def _from_known_angles(
+def _measure_by_known_angles(
     document: rig_keys.Document, motion: Path, angles: Path | None, angle_sigma: float
 ) -> tuple[Places, HandEyeFit, Coarse, float]:
-    """Measures with the recording `motion`, in which the tip rests at known angles: the marker's places there, the
-    hand-eye transform, the coarse law, and the rms of that law's residual, deg. document: of rig.toml, with the camera
-    and kinematics; angles: a CSV of the rests, None: angles.csv in the recording; angle_sigma: of the angles, deg.
-    Warns of what is doubtful."""
+    """Measures the hand-eye transform and the coarse law with the recording `motion`, in which the tip rests at known
+    angles. Returns the marker's places at these rests, the fitted transform, the coarse law, and the rms of the law's
+    residual, deg; prints a warning for each doubt. document: of rig.toml, with camera and kinematics; angles: CSV of
+    the rests, None: angles.csv in the recording; angle_sigma: standard deviation of the angles, deg."""
     known = read_known_angles(angles or motion / "angles.csv")
-    # Coarse law and hand-eye transform, which are measured below, have to be in a document: any will do.
+    # A rig needs a coarse law and a hand-eye transform: placeholders until they are measured below.
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")
     assert so_far.kinematics is not None and so_far.camera is not None
@@ -256,12 +263,12 @@ def _from_known_angles(
     return places, found, law, left_deg
 
 
-def _rounded(section: dict[str, Any]) -> dict[str, Any]:
-    """A section of rig.toml with its numbers rounded to 9 digits, so that the file is readable: far finer than every
-    sigma."""
+def _rounded_section(section: dict[str, Any]) -> dict[str, Any]:
+    """A section of rig.toml (numbers, or tuples of numbers, by key) with its numbers rounded to 9 significant digits,
+    so that the file is readable; that is far finer than every sigma. Tuples become lists."""
 
-    def short(value: float) -> float:
-        """A number rounded to 9 digits."""
+    def rounded(value: float) -> float:
+        """The number rounded to 9 significant digits."""
         return float(f"{value:.9g}")
 
-    return {key: [short(x) for x in v] if isinstance(v, tuple) else short(v) for key, v in section.items()}
+    return {key: [rounded(x) for x in v] if isinstance(v, tuple) else rounded(v) for key, v in section.items()}

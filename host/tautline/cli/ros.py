@@ -29,7 +29,7 @@ from tautline.cli._live import (
     board_option,
     camera_option,
     colour_option,
-    opened,
+    opened_setup,
     tracking_text,
 )
 from tautline.model import Model
@@ -87,7 +87,7 @@ def command(
         ended = stack.enter_context(_end_condition(duration))
         graph = stack.enter_context(Graph("tautline", ["--ros-args", *ros_arguments] if of_ros else []))
         parameters = Parameters.of(graph.node)
-        live = stack.enter_context(opened(options, rig_path, model=model))
+        live = stack.enter_context(opened_setup(options, rig_path, model=model))
         load_tables(live.board, axis, model)
         node = Node(graph, parameters, live, model)
         if camera is not None:
@@ -105,13 +105,14 @@ def command(
 
 @contextmanager
 def _end_condition(duration_s: float | None) -> Iterator[Callable[[], bool]]:
-    """A context with a function that says whether the node shall end: Ctrl-C or SIGTERM came, or duration_s (None: no
-    end) is over. So signals take effect between two messages; after the block they are handled as before."""
+    """A context that yields a function which returns whether the node shall end: whether SIGINT (Ctrl-C) or SIGTERM
+    came, or duration_s, s, is over (None: never). Within the context these signals do nothing else, so that they take
+    effect between two messages; at its end their earlier handlers are restored."""
     came = False
     began = time.monotonic()
 
     def stop(number: int, frame: object) -> None:
-        """Handler of the signals."""
+        """The signals' handler: notes that one came."""
         nonlocal came
         came = True
 
@@ -124,7 +125,8 @@ def _end_condition(duration_s: float | None) -> Iterator[Callable[[], bool]]:
 
 
 def _counts_in_words(result: dict[str, Any]) -> str:
-    """The counts of Node.run in a line: set-points sent and received, unusable messages, silences, refusals."""
+    """The counts that Node.run returned as a line: set-points sent and received, unusable messages, silences,
+    refusals."""
     return (
         f"{result['sent']} set-points in {result['seconds']:.1f} s of {result['received']} that came, "
         f"{result['unusable']} without the joint, {result['silences']} silences, {result['refused']} refused"

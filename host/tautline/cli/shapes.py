@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tautline.cli._common import Number, emit, json_option, log, progress_bar, refuse_unusable, rig_option
-from tautline.cli._live import LiveOptions, live_options, opened, refuse_live_options, seed_option
+from tautline.cli._live import LiveOptions, live_options, opened_setup, refuse_live_options, seed_option
 
 if TYPE_CHECKING:
     from tautline.shapes import Library, Shape
@@ -77,7 +77,7 @@ def recall(
     Without RECORDING a board and a camera are asked: the motor goes out and back twice where it stands, by three
     backlashes.
     """
-    from tautline.live.recalling import recall as of_live
+    from tautline.live.recalling import recall as recall_live
     from tautline.shapes import Library
 
     known = Library.load(library)
@@ -85,8 +85,8 @@ def recall(
         refuse_live_options("rig_path", "seed", because="leave them out, or RECORDING")
         nearest, rms = _recall_from_recording(known, recording_path)
     else:
-        with opened(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
-            nearest, rms = of_live(setup, known, progress)
+        with opened_setup(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
+            nearest, rms = recall_live(setup, known, progress)
     for name, off in rms.items():
         log(f"taut: {name}: off by {off:.3g} rms")
     folder = library / nearest.name
@@ -98,8 +98,8 @@ def recall(
 
 
 def _recall_from_recording(known: Library, path: Path) -> tuple[Shape, dict[str, float]]:
-    """The shape of the library `known` whose model predicts the recording at `path` best, and by name the rms by which
-    each shape's model is off, px or deg."""
+    """Compares the recording at `path` with the model of each shape in the library `known`. Returns the shape whose
+    model predicts it best, and the rms error of each shape's model by the shape's name, px or deg."""
     from tautline.recording import load
     from tautline.shapes import recalled
     from tautline.vision.marker import with_marker

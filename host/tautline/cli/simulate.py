@@ -19,78 +19,80 @@ from tautline.simulated.simulate import TRUTH, Simulation, run
 from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
-_WAY_BACK = 0.105  # prior: of the range, longer than any backlash
+_WAY_BACK = 0.105  # prior: least stroke back, as a share of the range: longer than any backlash
 
 
 @dataclass(frozen=True)
-class _Wish:
-    """The motion's options, in the rig's unit. Without speeds, or with None, what suits the range is taken."""
+class _MotionOptions:
+    """The command's options that shape the motion."""
 
-    speeds: tuple[float, ...]
-    amplitude: float | None
+    speeds: tuple[float, ...]  # the rig's unit per second; (): a share of the range per second
+    amplitude: float | None  # the rig's unit; None: a share of the range
     reversals: int
-    dwell_s: float
-    duration_s: float
-    seed: int
+    dwell_s: float  # rest at each reversal
+    duration_s: float  # of sines and random motions
+    seed: int  # of random motions
 
 
-def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """The paper's calibration motion; by default at 5 and 10 % of the range a second. Acceleration: half the range per
-    s^2."""
+def _calibration_motion(actuator: Actuator, wanted: _MotionOptions) -> Trajectory:
+    """The paper's calibration motion, back and forth over the range; by default one pass at 5 % and one at 10 % of the
+    range a second, with the stroke of `usual_stroke`. The acceleration is half the range per s^2."""
     span = actuator.span
-    speeds = wish.speeds or (0.05 * span, 0.1 * span)
-    stroke = wish.amplitude or usual_stroke(span, wish.reversals)
+    speeds = wanted.speeds or (0.05 * span, 0.1 * span)
+    stroke = wanted.amplitude or usual_stroke(span, wanted.reversals)
     return back_and_forth(
-        actuator, speeds, stroke, wish.reversals, acceleration=0.5 * span, dwell_s=wish.dwell_s
+        actuator, speeds, stroke, wanted.reversals, acceleration=0.5 * span, dwell_s=wanted.dwell_s
     )  # fmt: skip
 
 
 def usual_stroke(span: float, reversals: int) -> float:
-    """The default stroke of the calibration motion over a range of length `span`, in its unit: 15 % of it, more with
-    few reversals, as then each stroke advances more, and the way back (stroke less advance) has to be longer than any
-    backlash, _WAY_BACK of the range."""
+    """The default stroke of the calibration motion over a range of length `span`, in the unit of `span`: 15 % of it, or
+    more with few reversals. Then each stroke advances far, and yet the stroke back, which is the stroke minus the
+    advance, has to be longer than any backlash: _WAY_BACK of the range."""
+    # n advances a over the span S: stroke s + n a = S, and s - a = W S (W = _WAY_BACK), so s = (W n + 1) S / (n + 1).
     advances = max(1, reversals // 2)
     return max(0.15, (_WAY_BACK * advances + 1.0) / (advances + 1.0)) * span
 
 
-def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """The paper's test motion; by default 30 % of the range from peak to peak. Acceleration: half the range per
-    s^2."""
+def _test_motion(actuator: Actuator, wanted: _MotionOptions) -> Trajectory:
+    """The paper's test motion, trapezoids, one for each two reversals; by default 30 % of the range from peak to peak.
+    The acceleration is half the range per s^2."""
     span = actuator.span
-    amplitude = wish.amplitude or 0.3 * span
-    cycles = max(1, wish.reversals // 2)
+    amplitude = wanted.amplitude or 0.3 * span
+    cycles = max(1, wanted.reversals // 2)
     return trapezoids(
-        actuator, _one_speed(actuator, wish), amplitude, cycles, acceleration=0.5 * span, dwell_s=wish.dwell_s
+        actuator, _first_speed(actuator, wanted), amplitude, cycles, acceleration=0.5 * span, dwell_s=wanted.dwell_s
     )
 
 
-def _sines(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """Sines over the range for the duration that was asked for."""
-    return sines(actuator, _one_speed(actuator, wish), wish.duration_s)
+def _sine_motion(actuator: Actuator, wanted: _MotionOptions) -> Trajectory:
+    """A motion of sines over the range that lasts duration_s."""
+    return sines(actuator, _first_speed(actuator, wanted), wanted.duration_s)
 
 
-def _random(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """A random smooth motion over the range for the duration that was asked for."""
-    return random_smooth(actuator, _one_speed(actuator, wish), wish.duration_s, wish.seed)
+def _random_motion(actuator: Actuator, wanted: _MotionOptions) -> Trajectory:
+    """A random smooth motion over the range that lasts duration_s."""
+    return random_smooth(actuator, _first_speed(actuator, wanted), wanted.duration_s, wanted.seed)
 
 
-def _one_speed(actuator: Actuator, wish: _Wish) -> float:
-    """The first speed that was asked for, else 10 % of the range a second; unit of q per second."""
-    return wish.speeds[0] if wish.speeds else 0.1 * actuator.span
+def _first_speed(actuator: Actuator, wanted: _MotionOptions) -> float:
+    """The first of the speeds, or 10 % of the range a second without any; unit of q per second."""
+    return wanted.speeds[0] if wanted.speeds else 0.1 * actuator.span
 
 
 def _count_short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
-    """How many of the motor's strokes, from one reversal to the next (or to the end), are shorter than the instrument's
-    backlash in their middle: nothing moves on them."""
+    """The number of the motor's strokes that are shorter than the instrument's backlash at their middle, so that the
+    tip does not move. A stroke goes from one reversal to the next, or to the end; that before the first reversal does
+    not count."""
     way = np.sign(np.diff(trajectory.q))
-    moving = np.flatnonzero(way)
-    turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each
+    moving = np.flatnonzero(way)  # steps in which the motor moves
+    turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each reversal
     q = trajectory.q[np.concatenate([turns, [len(trajectory.q) - 1]])]
     return int(np.sum(np.abs(np.diff(q)) < instrument.backlash(0.5 * (q[1:] + q[:-1]))))
 
 
 def _warn_of_short_strokes(trajectory: Trajectory, instrument: Instrument) -> None:
-    """Warns where strokes of the motor are shorter than the instrument's backlash."""
+    """Prints a warning if strokes of the motor are shorter than the instrument's backlash."""
     if short := _count_short_strokes(trajectory, instrument):
         warn(
             f"{short} of the motor's strokes are shorter than the instrument's backlash: nothing moves on them and no "
@@ -98,11 +100,11 @@ def _warn_of_short_strokes(trajectory: Trajectory, instrument: Instrument) -> No
         )
 
 
-_MOTIONS: dict[str, Callable[[Actuator, _Wish], Trajectory]] = {
-    "back-and-forth": _back_and_forth,
-    "trapezoids": _trapezoids,
-    "sines": _sines,
-    "random": _random,
+_MOTIONS: dict[str, Callable[[Actuator, _MotionOptions], Trajectory]] = {
+    "back-and-forth": _calibration_motion,
+    "trapezoids": _test_motion,
+    "sines": _sine_motion,
+    "random": _random_motion,
 }
 MOTIONS = tuple(_MOTIONS)
 
@@ -193,8 +195,8 @@ def command(
         raise TautError(f"{rig_path}: has no [camera] to draw a video with: add one, or leave --video out")
     if video and not made.drawn:
         raise TautError(f"{instrument}: its effects change what is seen, which no drawn video shows: leave --video out")
-    wish = _Wish(speeds, amplitude, reversals, dwell_s=dwell, duration_s=duration, seed=seed)
-    trajectory = _MOTIONS[motion](rig.actuator, wish)
+    wanted = _MotionOptions(speeds, amplitude, reversals, dwell_s=dwell, duration_s=duration, seed=seed)
+    trajectory = _MOTIONS[motion](rig.actuator, wanted)
     _warn_of_short_strokes(trajectory, made)
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)
@@ -225,7 +227,7 @@ def command(
 
 
 def _recorded_in_words(simulation: Simulation, rig: Rig) -> str:
-    """How many frames and readings of an angle sensor a simulation has, in words."""
+    """A text on how many frames, and readings of an angle sensor, a simulation recorded."""
     counts = [f"{len(simulation.scene_s)} frames"] if rig.has_camera else []
     if (angle := simulation.recording.angle) is not None:
         counts.append(f"{len(angle.t_s)} readings of an angle sensor")

@@ -33,7 +33,7 @@ from tautline.cli._live import (
     board_option,
     camera_option,
     colour_option,
-    recalled,
+    recall_shape,
     shape_text,
     shapes_option,
     tracking_text,
@@ -123,12 +123,12 @@ def command(
 
 @contextmanager
 def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """A context with a function that says whether Ctrl-C came: it then takes effect between two messages, not in the
-    middle of one."""
+    """A context that yields a function which returns whether Ctrl-C (SIGINT) came. Within the context Ctrl-C does
+    nothing else, so that it takes effect between two messages; at its end the earlier handler is restored."""
     came = False
 
     def stop(number: int, frame: object) -> None:
-        """Handler of SIGINT."""
+        """The handler of SIGINT: notes that it came."""
         nonlocal came
         came = True
 
@@ -147,9 +147,9 @@ def _send_until_ended(
     duration: float | None,
     stopped: Callable[[], bool],
 ) -> None:
-    """Sends set-points of the tip at `rate`, Hz, until stdin ends, duration (s, None: for ever) is over, or
-    `stopped()`. They are the newest number of stdin, for `silence` s after it came; or a sine (amplitude, deg, and
-    period, s) about where the tip was."""
+    """Sends set-points of the tip, deg, at `rate`, Hz, until `stopped()` is true, `duration`, s, is over (None: never),
+    or stdin has ended. With `sine`, an amplitude in deg and a period in s, they are a sine about the tip's angle at the
+    start; without, the newest number on stdin. Nothing is sent where that number is older than `silence`, s."""
     began = time.monotonic()
     newest_deg, came_s = points.start_deg, 0.0
     lines = _Lines() if sine is None else None
@@ -179,10 +179,10 @@ def _open_board(
     library: Library | None,
     force: bool,
 ) -> tuple[Board, Following | None]:
-    """Opens the board, which the stack closes, and loads the model's tables into the axis; without a model the axis
-    keeps those that it has. With a camera also starts a tracker that keeps the model calibrated, else None is returned
-    for it; with a library and no model, the model is that of the shape that the shaft has now. force: takes an unusable
-    model of the library, too."""
+    """Opens the board at the address `where`, which the stack closes, and loads the model's tables into the axis;
+    without a model the axis keeps its tables. Returns the board and a tracker. With a camera the tracker, which keeps
+    the model calibrated, is started; without one it is None. With a library and no model, a short motion finds which
+    shape the shaft has now, and that shape's model is used; force: even if it is unusable."""
     from tautline.device.board import open_board
     from tautline.live.in_use import Following, TableMover, load_tables, tracking_beside
 
@@ -202,7 +202,7 @@ def _open_board(
     seen_as = MarkerColour.load(colour)
     live = stack.enter_context(open_live(board=where, camera=camera, rig=rig, axis=axis, colour=seen_as))
     if model is None and library is not None:
-        model, folder = recalled(live, library)
+        model, folder = recall_shape(live, library)
         refuse_unusable(model, folder, force)
     assert model is not None  # named, or a library's
     load_tables(live.board, axis, model)
@@ -212,18 +212,19 @@ def _open_board(
 
 
 class _Lines:
-    """The lines of standard input, read without waiting."""
+    """Reads lines from standard input without waiting for them."""
 
     def __init__(self) -> None:
-        """Registers standard input, which may also be a file."""
-        self._inputs = selectors.SelectSelector()  # the others refuse a file
+        """Prepares for reading from standard input, which may also be a file."""
+        self._inputs = selectors.SelectSelector()  # other selectors refuse a file
         self._inputs.register(sys.stdin, selectors.EVENT_READ)
-        self._rest = b""  # of a line that has not come whole
-        self.ended = False  # whether nothing will come any more
+        self._rest = b""  # beginning of a line whose end has not come yet
+        self.ended = False  # whether standard input has ended
 
     def newest(self) -> str | None:
-        """The last line that has come whole since the last call and is not blank; None where there is none. At the end
-        of the input a line without its end counts as whole."""
+        """Reads all that has come since the last call and returns the last complete line that is not blank; None where
+        there is none. It sets `ended` at the end of the input, where a line without its line feed counts as
+        complete."""
         last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)
@@ -235,7 +236,7 @@ class _Lines:
 
 
 def _number(line: str) -> float:
-    """A line of stdin as a bending angle, deg. TautError where it is no finite number."""
+    """Parses a line of stdin as a bending angle, deg. TautError where it is not a finite number."""
     try:
         value = float(line)
     except ValueError:

@@ -16,7 +16,7 @@ from tautline.vision.marker import with_marker
 if TYPE_CHECKING:
     from tautline.tracking import Tracked
 
-_MOST_CHANGES = 12  # format: that are told one by one
+_MOST_CHANGES = 12  # format: most changes of state that are printed one by one
 
 
 @click.command("track")
@@ -79,8 +79,9 @@ def command(
 
 
 def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
-    """For each recording of the result: rms of the residual (px per coordinate, or deg; None where nothing was seen),
-    the law at its end (offset, unit of q, and scale of B, with sigmas), and how many frames each state lasted."""
+    """An entry for each recording, for the command's result: its name and number of rows; the rms of the residual, px
+    per coordinate or deg, None where nothing was seen; offset (unit of q) and scale of B with their sigmas at its end;
+    and the number of frames in each state. Each recording must have a row."""
     from tautline.tracking import residuals
 
     off = residuals(result, recordings)
@@ -105,7 +106,8 @@ def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
 
 
 def _log_result(result: Tracked, summary: list[dict[str, Any]]) -> None:
-    """Logs the changes of state, up to _MOST_CHANGES, and a line for each recording. summary: of `_summary`."""
+    """Prints on stderr the first _MOST_CHANGES changes of state, and a line for each recording. summary: the entries
+    that `_summary` returned."""
     unit, shown = ("px", "frames") if result.sensor == MARKER else ("deg", "readings")
     for change in result.changes[:_MOST_CHANGES]:
         state = click.style(change.state.value, fg=STATE_COLOURS[change.state.value], bold=True)

@@ -25,7 +25,7 @@ from tautline.cli._live import (
     LiveOptions,
     live_options,
     motion_option,
-    opened,
+    opened_setup,
     seed_option,
     shape_text,
     shapes_option,
@@ -36,7 +36,7 @@ from tautline.model import Model
 if TYPE_CHECKING:
     from tautline.tracking import Row, State
 
-_FRAME_S = 0.2  # format: between two pictures, wall clock
+_FRAME_S = 0.2  # format: least time between two updates of the line, wall clock
 
 
 @click.command("watch")
@@ -75,7 +75,7 @@ def command(
     if live.simulate is not None and motion == "none" and duration is None:
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
     with (
-        opened(live, rig_path, seed, model=model) as setup,
+        opened_setup(live, rig_path, seed, model=model) as setup,
         _progress_display(model.rig.actuator.unit, as_json) as on_row,
     ):
         result = watch(
@@ -86,13 +86,14 @@ def command(
 
 @contextmanager
 def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
-    """A context with a function that is called with each row of the tracker and its time, s: it logs a line for each
-    change of state, and where stderr is a terminal (and not as_json) also shows the latest row. unit: of q."""
+    """A context that yields the function to be called with each row of the tracker and its time, s. It prints a line on
+    stderr for each change of state; where stderr is a terminal and not `as_json`, it also shows the latest row there,
+    which is erased at the end. unit: of q."""
     last_state: State | None = None
     drawn_s = float("-inf")  # when a row was drawn last
 
     def log_change(row: Row, t_s: float) -> None:
-        """Logs a line if the state is another than before."""
+        """Prints a line if the row's state differs from that of the row before; none for the first row."""
         nonlocal last_state
         if row.state is not last_state:
             if last_state is not None:
@@ -109,7 +110,7 @@ def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float
     with Screen(console=Console(stderr=True), auto_refresh=False, transient=True) as screen:
 
         def draw(row: Row, t_s: float) -> None:
-            """Logs a change of state, and shows the row, at most every _FRAME_S."""
+            """Prints a change of state, and shows the row unless one was shown less than _FRAME_S ago."""
             nonlocal drawn_s
             log_change(row, t_s)
             now = time.monotonic()
@@ -121,7 +122,7 @@ def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float
 
 
 def _row_line(row: Row, t_s: float, unit: str) -> Any:
-    """A tracker's row in one line of rich's text. t_s: its time; unit: of q, which the offset is in."""
+    """A tracker's row as one line of rich's text: time t_s, state, offset in `unit` (that of q), scale of B, reason."""
     from rich.text import Text
 
     line = Text(f"{t_s:8.1f} s  ")
@@ -133,7 +134,7 @@ def _row_line(row: Row, t_s: float, unit: str) -> Any:
 
 
 def _result_in_words(result: dict[str, Any], unit: str) -> str:
-    """The result of live.tracking.watch as text for a terminal. unit: of q."""
+    """The result of live.tracking.watch as text for a terminal. unit: of q, in which the offset is."""
     if result["state"] is None:
         return "no frame was tracked: does the board send telemetry, does the camera see the marker?"
     rms = "" if result["rms_px"] is None else f", off by {result['rms_px']:.3g} px rms"

@@ -16,14 +16,15 @@ from tautline.fleet.rows import Row
 from tautline.reports import figures, pages
 
 FILE = "fleet.html"
-_MOST = 40  # display: lines of one table
+_MOST = 40  # display: most lines of a table
 _USUAL: dict[str, Any] = {"color": figures.UP, "linewidth": 0.5, "alpha": 0.35}
-_CURVES = 400  # display: of the robots, evenly taken, that a picture shows
+_CURVES = 400  # display: robots, evenly taken, whose curves a picture shows
 
 
 def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
-    """Writes OUT/fleet.html: findings in sentences, two pictures, tables. rows: of all sessions, each robot's in their
-    order. In a table's head a name that begins with | is of a column of text."""
+    """Writes OUT/fleet.html: the findings in sentences, two pictures, and tables. rows: of all sessions, each robot's
+    in the order of time; found: the findings of these rows. In a table's head, | before a name marks a column of
+    text."""
     last = _last_usable(rows)
     failed = [[row.robot, row.session, row.error or ""] for row in rows if row.error is not None]
     growth = ["|robot", "|batch", "B a session (%)", "sigma (%)", "|last session", "|verdict"]
@@ -64,16 +65,16 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
 
 
 def _table(title: str, says: str, head: list[str], rows: list[list[str]]) -> dict[str, Any]:
-    """One table of the page as the template takes it: title with the number of rows, a sentence `says`, column names
-    `head`, and the cells; of a long one the first _MOST rows."""
+    """One table of the page as the template takes it: the title with the number of rows, a sentence `says`, the column
+    names `head`, and the cells `rows`. Only the first _MOST rows are kept; a sentence then says so."""
     if len(rows) > _MOST:
         says += f" The first {_MOST} of {len(rows)}; --json and the data set have all."
     return {"title": f"{title}: {len(rows)}", "says": says, "head": head, "rows": rows[:_MOST]}
 
 
 def _growth_rows(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]]:
-    """Cells of a table of robots that are named for their growth: robot, batch, growth of B a session and its sigma, %,
-    last session, verdict. last: as of `_last_usable`."""
+    """The cells of a table of robots that are named for their growth, a row each: robot, batch, growth of B a session
+    and its sigma, %, last usable session and its verdict. last: of `_last_usable`."""
     return [
         [one.name, _batch(last, one.name), _percent(one.value), _percent(one.sigma), last[one.name].session,
          last[one.name].verdict]
@@ -82,8 +83,8 @@ def _growth_rows(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]
 
 
 def _robot_rows(rows: Sequence[Row], last: dict[str, Row]) -> list[list[str]]:
-    """Cells of the table of all robots: robot, batch, number of sessions, and of the last usable one its name, verdict
-    and mean B, empty where there is none."""
+    """The cells of the table of all robots, a row each: robot, batch, number of sessions, then name, verdict and mean B
+    of the last usable session, empty where there is none. last: of `_last_usable`."""
     lines = []
     for robot, sessions in Counter(row.robot for row in rows).items():
         row = last.get(robot)
@@ -94,13 +95,13 @@ def _robot_rows(rows: Sequence[Row], last: dict[str, Row]) -> list[list[str]]:
 
 
 def _mean_width(row: Row) -> str:
-    """The mean of B over where it was measured, with its unit, as text; "" where none of the row's places is there."""
+    """The mean of B over the places where it was measured, with its unit, as text; "" where there is no such place."""
     _, width = _measured_curve(row)
     return f"{np.mean(width):.3g} {row.unit}" if len(width) else ""
 
 
 def _measured_curve(row: Row) -> tuple[np.ndarray, np.ndarray]:
-    """Places q and widths B of a session, (n,) each, unit of q, cut to where B was measured."""
+    """The places q and widths B of a session, (n,) each, unit of q, at the places where B was measured."""
     q, width = np.array(row.q), np.array(row.width)
     inside = (q >= (row.measured_low or 0.0)) & (q <= (row.measured_high or 0.0))
     return q[inside], width[inside]
@@ -112,7 +113,8 @@ def _last_usable(rows: Sequence[Row]) -> dict[str, Row]:
 
 
 def _batch(last: dict[str, Row], robot: str) -> str:
-    """The robot's batch, "" where it has none."""
+    """The batch of a robot that has a usable session (else KeyError); "" where it is of no batch. last: of
+    `_last_usable`."""
     return last[robot].batch or ""
 
 
@@ -123,8 +125,8 @@ def _percent(share: float) -> str:
 
 @mpl.rc_context(figures.STYLE)
 def growth_picture(rows: Sequence[Row], found: Findings) -> Figure:
-    """Draws each robot's growth of B a session, %, with 2 sigma, sorted by batch; robots that are named as worn are in
-    another colour."""
+    """A figure of each robot's growth of B a session, %, with 2 sigma. The robots stand side by side, sorted by batch;
+    those that are named as worn have another colour."""
     known = {row.robot: row for row in rows if row.wear is not None}
     order = sorted(known.values(), key=lambda row: (row.batch or "", row.robot))
     worn = {one.name for one in found.worn}
@@ -143,8 +145,8 @@ def growth_picture(rows: Sequence[Row], found: Findings) -> Figure:
 
 @mpl.rc_context(figures.STYLE)
 def spread_picture(last: Sequence[Row], found: Findings) -> Figure:
-    """Draws B over q of up to about _CURVES robots, and in another colour of all that are named as unlike. last: one
-    row of each robot."""
+    """A figure of B over q, where it was measured, of about _CURVES robots at most, evenly taken; and, in another
+    colour, of all robots that are named as unlike. last: one usable row of each robot, of one robot at least."""
     unlike = {one.name for one in found.unlike}
     shown = last[:: max(1, len(last) // _CURVES)]
     made, axes = figures.figure(10.5, 3.6)

@@ -1,5 +1,5 @@
-"""What a fleet teaches of the next robot: how B, the tip's path in the image and its delay are spread over it, kept
-beside its results."""
+"""The prior that a fleet gives for the next robot's calibration: how B, the tip's path as its sensor sees it, and that
+sensor's delay are distributed over the fleet's robots. It is kept in a file beside the fleet's results."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ from tautline.folders import write_file
 from tautline.rig import Rig
 
 FILE, FORMAT, _WITHOUT_DELAY = "prior.json", "prior/3", "prior/2"
-_SAME = 0.01  # tolerance: of the range, by which a robot's may differ
+_SAME = 0.01  # tolerance: share of the range by which each end of a robot's range may differ
 
 
 def write(rows: Sequence[Row], out: Path) -> None:
-    """Writes OUT/prior.json, what `read` gives the next robot's calibration: how B, path and delay are spread, from all
-    usable sessions, also of one robot, whose wear is part of the spread. TautError where too few robots are usable."""
+    """Writes OUT/prior.json, which `read` turns into the prior of the next robot's calibration: the distributions of B,
+    path and delay. All usable sessions count, also several of one robot, so that wear is part of the spread. TautError
+    where fewer than LEAST_ROBOTS robots are usable."""
     curves = log_widths(rows)
     unit = next(row.unit for row in rows if row.usable and row.q == tuple(curves.q.tolist()))
     with threadpool_limits(1, "blas"):
@@ -46,20 +47,22 @@ def write(rows: Sequence[Row], out: Path) -> None:
 
 
 def _as_json(known: Population) -> dict[str, Any]:
-    """A population as a JSON object: q, mean, scale as lists, freedom."""
+    """A population as a JSON object: q, mean and scale as lists, freedom as a number."""
     arrays = {name: getattr(known, name).tolist() for name in ("q", "mean", "scale")}
     return {**arrays, "freedom": known.freedom}
 
 
 def _spread_of_json(values: dict[str, Any]) -> Spread:
-    """The spread that a calibration takes as its prior, from an object that `_as_json` made."""
+    """The distribution that a calibration takes as its prior, from an object that `_as_json` made. KeyError, TypeError
+    or ValueError where it is damaged."""
     q, mean, scale = (np.array(values[name], dtype=float) for name in ("q", "mean", "scale"))
     return Spread(q, mean, scale, float(values["freedom"]))
 
 
 def read(out: Path, rig: Rig) -> Beforehand:
-    """The prior for a calibration with this rig, from the file that `write` made in a fleet's output folder. TautError
-    where there is no such file, it is damaged, or the fleet's robots have another unit or range."""
+    """Reads the prior for a calibration with this rig from prior.json, which `write` made in the fleet's output folder
+    `out`. TautError where there is no such file, it is damaged, or the fleet's robots have another unit or range than
+    the rig."""
     path = out / FILE
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

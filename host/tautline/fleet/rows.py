@@ -1,4 +1,4 @@
-"""What is known of each session, a row: kept as one Parquet data set, in parts while it grows."""
+"""The results of a fleet's sessions: a row for each, kept in one Parquet data set, in parts while it grows."""
 
 from __future__ import annotations
 
@@ -13,40 +13,41 @@ from typing import Any
 from tautline.errors import TautError, of_system
 
 DATA_SET = "sessions"  # a folder of Parquet files in the output folder
-FAILED = "failed"  # a verdict beside a calibration's own: there is no calibration
-_DIGITS = 6  # format: of a part's number
+FAILED = "failed"  # a verdict of a row, beside those of a calibration: there is no calibration
+_DIGITS = 6  # format: digits of a part's number
 _EXTRA = "pip install 'tautline-robotics[fleet]'"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One session. Curves are at places that divide the rig's range evenly, both ends among them."""
+    """The results of one session. Its curves are sampled at the places `q`, which divide the rig's range evenly, both
+    ends among them. Columns are None or empty where there is no calibration."""
 
     robot: str
     session: str
-    inputs: str  # hash of all that it was calibrated from, and by
+    inputs: str  # hash of the files and the version that it was calibrated from and by; "": calibrate it again
     batch: str | None = None
     date: str | None = None  # YYYY-MM-DD
     verdict: str = FAILED
-    reasons: tuple[str, ...] = ()  # their codes, likeliest first
+    reasons: tuple[str, ...] = ()  # codes of the verdict's reasons, likeliest first
     error: str | None = None  # why there is no calibration
     unit: str | None = None  # of q
     q: tuple[float, ...] = ()
-    width: tuple[float, ...] = ()  # B, unit of q
+    width: tuple[float, ...] = ()  # backlash width B, unit of q
     width_sigma: tuple[float, ...] = ()
-    width_by_delay: tuple[float, ...] = ()  # unit of q: a part of width_sigma by which B is off alike everywhere
-    c_deg: tuple[float, ...] = ()  # f_remain
+    width_by_delay: tuple[float, ...] = ()  # unit of q: signed part of width_sigma, correlated over q
+    c_deg: tuple[float, ...] = ()  # bending angle f_remain(q)
     c_sigma_deg: tuple[float, ...] = ()  # NaN where unknown
-    path: tuple[float, ...] = ()  # of the tip as its sensor sees it, px or deg: all u, then all v
+    path: tuple[float, ...] = ()  # of the tip as its sensor sees it: all u, then all v, px; or all angles, deg
     path_sigma: tuple[float, ...] = ()
-    measured_low: float | None = None  # unit of q: between these reversals told B
-    measured_high: float | None = None
+    measured_low: float | None = None  # unit of q: from here
+    measured_high: float | None = None  # to here reversals measured B
     delay_s: float | None = None
     delay_sigma_s: float | None = None
-    residual: float | None = None  # rms that the model leaves, px a coordinate or deg
-    motion_s: float | None = None  # that was recorded
-    seconds: float | None = None  # of one core, that its calibration took
-    since: str | None = None  # the robot's first usable session, which the next three are told by
+    residual: float | None = None  # rms of what the model leaves, px a coordinate or deg
+    motion_s: float | None = None  # length of the recordings
+    seconds: float | None = None  # processor time of its calibration
+    since: str | None = None  # the robot's first usable session, from which the next three are changes
     width_change: float | None = None  # of the mean B, as a share of it
     width_change_sigma: float | None = None
     offset_change: float | None = None  # of f_remain along q, unit of q
@@ -69,12 +70,12 @@ _NUMBERS = frozenset(field.name for field in fields(Row) if field.type == "float
 
 
 class DataSet:
-    """The rows of one output folder as a Parquet data set: numbered files (parts), one more with each `append`. If two
-    parts have a row of the same session, the later part's counts."""
+    """The rows of one output folder as a Parquet data set: numbered files (parts), one more with each `append`. Where
+    two parts have a row of the same session, the row of the later part counts."""
 
     def __init__(self, out: Path) -> None:
-        """The data set in the folder `out`, which may be empty or missing: it is made with the first part. TautError
-        where pyarrow is not installed."""
+        """The data set in the output folder `out`. Nothing is written yet: its own folder is made with the first part.
+        TautError where pyarrow is not installed."""
         try:
             self._arrow, self._parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
         except ImportError as error:
@@ -100,7 +101,7 @@ class DataSet:
             self._write(rows)
 
     def rewrite(self, rows: Iterable[Row]) -> None:
-        """Makes the data set hold these rows alone, in one part: writes that, then deletes the earlier ones."""
+        """Makes the data set hold these rows alone: writes them as one new part, then deletes all earlier parts."""
         earlier = self._parts()
         self.append(rows)
         for path in earlier:
@@ -111,7 +112,8 @@ class DataSet:
         return sorted(self.folder.glob(f"part-{'[0-9]' * _DIGITS}.parquet"))
 
     def _write(self, rows: list[Row]) -> None:
-        """Writes the rows as the next part, whole or not at all. TautError where it cannot be written."""
+        """Writes the rows as the next part, whole or not at all: into a temporary file that is then renamed. TautError
+        where it cannot be written."""
         table = self._arrow.Table.from_pylist([asdict(row) for row in rows], schema=self._schema())
         path = self.folder / f"part-{self._next:0{_DIGITS}d}.parquet"
         temporary = self.folder / f".{path.name}.{os.getpid()}"
@@ -120,13 +122,14 @@ class DataSet:
             self._parquet.write_table(table, temporary)
             temporary.replace(path)
         except OSError as error:
-            with suppress(OSError):  # where the folder is none
+            with suppress(OSError):  # the folder may not exist
                 temporary.unlink()
             raise TautError(of_system(error)) from error
         self._next += 1
 
     def _schema(self) -> Any:
-        """The Parquet schema of a Row: numbers as float64, lists of them or of codes, all else as text."""
+        """The Parquet (Arrow) schema of a Row: numbers as float64, tuples as lists of float64 or, for `reasons`, of
+        text, all other fields as text."""
         arrow = self._arrow
 
         def kind(name: str) -> Any:
@@ -141,6 +144,7 @@ class DataSet:
 
 
 def _row_of_line(line: Mapping[str, Any]) -> Row:
-    """A Row from a line of the data set, whose lists become tuples and whose missing lists become empty ones."""
+    """A Row from a line of the data set (values by column): lists become tuples, a missing list an empty tuple.
+    KeyError or TypeError where the line is damaged."""
     values: dict[str, Any] = {k: tuple(value or ()) if k in _LISTS else value for k, value in line.items()}
     return Row(**values | {"reasons": tuple(line["reasons"])})

@@ -1,4 +1,5 @@
-"""A fleet's run: what is new is calibrated, wherever its workers are; what is done stays done."""
+"""A fleet's run: sessions that are new or have changed are calibrated, on workers here or elsewhere; the results of all
+others are kept."""
 
 from __future__ import annotations
 
@@ -18,9 +19,9 @@ from tautline.pool import Pool
 
 Progress = Callable[[float, str], None]
 
-_ROWS = 3  # format: of what a row holds
+_ROWS = 3  # format: version of what a row holds
 MADE_BY = f"{__version__} {PLACES} {_ROWS}"  # a row by another version is made anew
-_KEPT, _KEPT_S = 64, 10.0  # tolerance: rows, and seconds, after which what is done is written
+_KEPT, _KEPT_S = 64, 10.0  # tolerance: rows, and seconds, after which finished rows are stored
 
 
 @dataclass(frozen=True)
@@ -28,38 +29,40 @@ class Done:
     """The result of a run."""
 
     rows: tuple[Row, ...]  # of all sessions, in the order of robots and sessions
-    new: int  # how many of them this run calibrated
+    new: int  # how many sessions this run gave to workers, those that failed included
 
 
 def row_of_lost_worker(name: str) -> Row:
-    """The row of the session ROBOT/SESSION (`name`) whose calibration killed every worker that tried; the pool calls
-    this in place of a result."""
+    """The row of the session `name`, ROBOT/SESSION, whose calibration killed every worker that tried it. The pool calls
+    this for a row in place of the result."""
     robot, _, session = name.partition("/")
     error = "every worker that calibrated it died: look for too little memory, or use fewer --jobs"
     return Row(robot, session, inputs="", error=error)
 
 
 def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
-    """Calibrates every session in `folder` (FOLDER/ROBOT/SESSION) whose files, as they are now, the data set in `out`
-    has no row of, and brings the data set up to date; sessions that are gone from `folder` go from it. What is done is
-    stored every few seconds, so that a run that is broken off goes on where it was. workers: where sessions are
-    calibrated; progress: gets the share done, 0 to 1, and a line for each session. TautError where `folder` has no
-    session, or `out` holds something else."""
+    """Brings the data set in `out` up to date with the sessions in `folder` (FOLDER/ROBOT/SESSION). A session is
+    calibrated unless the data set has a row of the same files and version (Row.inputs); rows of sessions that are gone
+    are deleted; the columns that compare sessions are filled anew. Finished rows are stored every few seconds, so that
+    a run that was broken off can be continued. workers: the pool that calibrates; progress: gets the share done, 0 to
+    1, and a line for each calibrated session. TautError where `folder` has no session, or `out` holds something
+    else."""
     check_replaceable(out, DATA_SET)
     sessions, data_set = sessions_in(folder), DataSet(out)
     rows = data_set.read()
     empty = {session.id: _empty_row(session) for session in sessions}
     total, known, done = len(sessions), 0, 0
-    waiting: list[Row] = []  # to be stored
+    waiting: list[Row] = []  # finished, but not stored yet
 
     def pending() -> Iterator[tuple[str, tuple[Row, dict[str, bytes]]]]:
-        """The sessions to calibrate: id, and the arguments of `calibrate_session`. A session that has its row already
-        is counted in `known`; one that cannot be read is put into `waiting` with its error."""
+        """Yields each session to calibrate: its id, and the arguments of `calibrate_session`. A session whose row is up
+        to date is only counted in `known`; one that cannot be read is appended to `waiting`, as a row with the
+        error."""
         nonlocal known
         for session in sessions:
             try:
                 files = session.files()
-            except TautError as error:  # of this session alone
+            except TautError as error:  # concerns this session alone: the run goes on
                 waiting.append(replace(empty[session.id], error=str(error)))
                 continue
             inputs = digest(files, MADE_BY)

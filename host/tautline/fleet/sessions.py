@@ -1,4 +1,4 @@
-"""A fleet's folder: which sessions of which robots are in it, and what each was calibrated from.
+"""A fleet's folder: which sessions of which robots are in it, and the files that each is calibrated from.
 
 FOLDER/ROBOT/SESSION/   a recording, or a folder of recordings of one session
 FOLDER/robots.csv       optional: robot,batch; further columns do not count
@@ -36,7 +36,7 @@ class Session:
     name: str
     batch: str | None
     folder: Path
-    rig: Path | None  # the rig.toml of all its recordings
+    rig: Path | None  # the rig.toml that holds for all of its recordings; None: there is none
 
     @property
     def id(self) -> str:
@@ -45,14 +45,14 @@ class Session:
 
     @property
     def date(self) -> str | None:
-        """The date with which the session's name begins (YYYY-MM-DD), if it does."""
+        """The date (YYYY-MM-DD) with which the session's name begins; None where it begins with none."""
         found = _DATE.match(self.name)
         return found.group() if found else None
 
     def files(self) -> dict[str, bytes]:
-        """The bytes of all files that a calibration of the session reads, by path: RECORDING/FILE, and rig.toml beside
-        the recordings; so that a worker on another machine can have them. Videos only where no marker.csv is. TautError
-        where a file cannot be read, or there is no recording."""
+        """Reads all files that a calibration of the session needs, so that they can be sent to a worker on another
+        machine. Returns their bytes by path: RECORDING/FILE, and rig.toml for the session's rig. A recording's video is
+        read only where it has no marker.csv. TautError where a file cannot be read, or there is no recording."""
         try:
             found = {} if self.rig is None else {RIG_FILE: self.rig.read_bytes()}
             recordings = _recordings(self.folder)
@@ -70,8 +70,8 @@ class Session:
 
 
 def digest(files: dict[str, bytes], made_by: str) -> str:
-    """A hash over everything that a row depends on, by which a later run sees whether to calibrate again. files: as of
-    `Session.files`; made_by: the version of what calibrates them."""
+    """A hash (SHA-256, hex) over everything that a session's row depends on: a later run calibrates again where it
+    differs. files: as `Session.files` returns them; made_by: the version of the program that calibrates."""
     hashed = hashlib.sha256(made_by.encode())
     for name in sorted(files):
         hashed.update(f"\n{name} ".encode() + hashlib.sha256(files[name]).digest())
@@ -79,20 +79,23 @@ def digest(files: dict[str, bytes], made_by: str) -> str:
 
 
 def sessions_in(folder: Path) -> list[Session]:
-    """The sessions in a fleet's folder, robot by robot, each robot's in the order of their names. TautError where no
-    session has a recording."""
+    """The sessions in a fleet's folder, robot by robot, each robot's in the order of their names. TautError where there
+    is no such folder, robots.csv is damaged, or no session has a recording."""
     if not folder.is_dir():
         raise TautError(f"{folder}: there is no such folder: a fleet is a folder ROBOT/SESSION of recordings")
     batches = _batches(folder / MANIFEST)
-    found = [session for robot in _folders(folder) for session in _of_robot(folder, robot, batches.get(robot.name))]
+    found = [
+        session for robot in _folders(folder) for session in _sessions_of_robot(folder, robot, batches.get(robot.name))
+    ]
     if not any(_recordings(session.folder) for session in found):
         raise TautError(f"{folder}: no session is in it: lay recordings out as {folder.name}/ROBOT/SESSION/{MOTOR}")
     return found
 
 
-def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
-    """The sessions in the folder `robot` of the fleet's `folder`, in the order of names, also those that hold no
-    recording. Each gets the rig.toml that is nearest to it."""
+def _sessions_of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
+    """Yields the sessions in the folder `robot` of the fleet's `folder`, in the order of names, also those that hold no
+    recording. A session's rig is the first rig.toml found in its recordings, the session's folder, the robot's, and the
+    fleet's, in this order."""
     for session in _folders(robot):
         places = (*_recordings(session), session, robot, folder)
         rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
@@ -100,20 +103,22 @@ def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]
 
 
 def _recordings(session: Path) -> list[Path]:
-    """The folders of a session's recordings: its own if it holds a motor.csv, else those in it that do."""
+    """The folders of a session's recordings: the session's own folder if it holds a motor.csv, else the folders in it
+    that hold one."""
     if (session / MOTOR).exists():
         return [session]
     return [each for each in _folders(session) if (each / MOTOR).exists()]
 
 
 def _folders(folder: Path) -> list[Path]:
-    """The folders in a folder, without hidden ones, in the order of names."""
+    """The folders in `folder`, in the order of names, without hidden ones (.NAME)."""
     return sorted(each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))
 
 
 def _batches(manifest: Path) -> dict[str, str]:
-    """The batch of each robot that has one, from robots.csv; of two lines of a robot the last counts. Empty without the
-    file or its column batch. TautError where it cannot be read, or has no column robot."""
+    """Reads the batch of each robot that has one from `manifest` (robots.csv), by robot; of several lines of one robot
+    the last counts. Empty without the file or its column `batch`. TautError where the file cannot be read, or has no
+    column `robot`."""
     if not manifest.exists():
         return {}
     try:

@@ -1,4 +1,4 @@
-"""What a worker does: one session's files in, its row out, whatever is wrong with it."""
+"""What a worker does: it calibrates one session's files and returns its row, also where the calibration fails."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from tautline.recording import check_distinct, load_all
 from tautline.rig import RIG_FILE, Rig
 from tautline.vision.marker import with_marker
 
-PLACES = 33  # tolerance: of a curve in a row: on 10 mm two for the finest bump that a calibration resolves, 0.6 mm
+PLACES = 33  # tolerance: places of a row's curves: on 10 mm, two in the finest bump that a calibration resolves, 0.6 mm
 
 
 def calibrate_session(row: Row, files: Mapping[str, bytes]) -> Row:
-    """What a worker runs for each session: calibrates its files (as of Session.files) and returns the row with the
-    result and the seconds of processor time. No error leaves it: it becomes the row's `error`."""
+    """Calibrates one session's files (as Session.files returns them) and returns its row with the result and the
+    seconds of processor time. An exception does not leave it: its text becomes the row's `error`. row: with the names
+    and `inputs` of the session."""
     began = time.process_time()
     try:
         with unpacked_folder(files) as folder:
@@ -36,8 +37,9 @@ def calibrate_session(row: Row, files: Mapping[str, bytes]) -> Row:
 
 
 def _calibrate_files(row: Row, folder: Path) -> Row:
-    """Calibrates the recordings in `folder`, a folder each, and returns the row with the result. TautError with paths
-    that are relative to `folder`, which is temporary."""
+    """Calibrates the recordings in `folder`, each of which is a folder in it, and returns the row with the result. The
+    rig is rig.toml in `folder`, else that of the first recording. Paths in a TautError are made relative to `folder`,
+    which is temporary."""
     try:
         paths = sorted(each for each in folder.iterdir() if each.is_dir())
         own = folder / RIG_FILE
@@ -52,15 +54,17 @@ def _calibrate_files(row: Row, folder: Path) -> Row:
 
 
 def _with_calibration(row: Row, calibration: Calibration) -> Row:
-    """The row with the columns that a calibration fills; curves at PLACES places over the rig's range."""
+    """The row with the columns filled that a calibration gives; its curves are sampled at PLACES places over the rig's
+    range."""
     model = calibration.model
     places = np.linspace(*model.rig.actuator.range, PLACES)
 
     def curve(values: np.ndarray | None) -> tuple[float, ...]:
-        """Values on the model's grid, at `places`; empty without values."""
+        """The values (grid,) on the model's grid, interpolated at `places`; () for None."""
         return () if values is None else tuple(np.interp(places, model.q, values).tolist())
 
-    path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2  # (grid, coordinates); 0 without a path
+    # (grid, coordinates) each, with no coordinates if the calibration has no path
+    path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2
 
     return replace(
         row,

@@ -1,4 +1,5 @@
-"""What a report shows of the recordings behind a model: every frame beside what three models say of it."""
+"""What a report shows of the recordings behind a model: what was seen in every frame, beside the predictions of three
+models."""
 
 from __future__ import annotations
 
@@ -32,19 +33,19 @@ STAGES = ("f_coarse", "f_coarse + B", "f_remain + B")  # the models of the paper
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a report is drawn from: one row per frame (or sensor sample) in which the tip was seen, n in all recordings
-    in turn, beside what three models say of it."""
+    """The data that a report is drawn from. It has n rows, one for each frame (or sensor sample) in which the tip was
+    seen, recording after recording, with what was seen and the errors of three models."""
 
-    recording: Array  # (n,) int: which one
-    t_s: Array  # (n,) scene times on the recordings' common clock
+    recording: Array  # (n,) int: index of the recording
+    t_s: Array  # (n,) scene times, s, on the recordings' common clock
     q: Array  # (n,) motor position at that time, the rig's unit
-    path: Array  # (n,) how far the motor had travelled by then, the rig's unit, rising
-    seen: Array  # (n, d) px (d = 2) with a camera, else deg (d = 1)
-    c_deg: Array  # (n,) from the pose of each frame alone, or from the sensor
-    error: Array  # (3, n, d) seen minus what each of STAGES says
-    settled: Array  # (n,) bool: the tip had been driven through a full backlash both ways
-    offset_s: Array  # (recordings,) from each recording's clock to the common one
-    names: Array  # (recordings,) str
+    path: Array  # (n,) distance that the motor had travelled in the recording by then, the rig's unit
+    seen: Array  # (n, d) position in the image, px (d = 2), with a camera; else angle, deg (d = 1)
+    c_deg: Array  # (n,) bending angle, deg, from the pose of each frame alone, or from the sensor
+    error: Array  # (3, n, d) seen minus what each of STAGES predicts
+    settled: Array  # (n,) bool: as `is_settled` says, so that errors count
+    offset_s: Array  # (recordings,) added to a time of each recording's clock it gives the common clock's
+    names: Array  # (recordings,) str: of the recordings
 
     @property
     def unit(self) -> str:
@@ -56,7 +57,8 @@ class Evidence:
         return int(np.argmax(self.names == name))
 
     def rms(self) -> list[float]:
-        """Rms of `error` per coordinate for each of STAGES, over the `settled` rows; NaN where there are none."""
+        """The rms of `error` per coordinate over the `settled` rows, for each of STAGES in turn; NaN where there are no
+        such rows."""
         error = self.error[:, self.settled]
         if error.shape[1] == 0:
             return [float("nan")] * len(STAGES)
@@ -68,7 +70,8 @@ class Evidence:
 
     @classmethod
     def load(cls, folder: Path) -> Self | None:
-        """Reads evidence.npz from a model's folder; None where there is none. TautError where it is damaged."""
+        """Reads evidence.npz from a model's folder; None where there is no such file. TautError where it cannot be read
+        or its arrays' shapes do not fit each other."""
         path = folder / FILE
         if not path.exists():
             return None
@@ -95,9 +98,9 @@ class Evidence:
 
 
 def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
-    """Collects the evidence for a model's report from the recordings that have a marker or an angle. It has no row
-    where the tip was never seen within the motor's times, as when their clocks do not agree. TautError where no
-    recording has either."""
+    """Collects the evidence for a model's report from the recordings that have a marker or an angle; TautError where
+    none has. The evidence has no rows if the tip was never seen within the motor's times, as when the clocks of motor
+    and sensor do not agree."""
     clock = SessionClock.of(recordings)
     parts = [
         _collect_one(model, recording, index, clock.offset_s[index])
@@ -117,7 +120,7 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
 
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
     """The evidence of one recording: its frames within the motor's times. index: of the recording among all; offset_s:
-    from its clock to the common one, s."""
+    added to a time of its clock it gives the common clock's, s."""
     motor, rig = recording.motor, model.rig
     track = observe([recording], rig)[0]
     t_s, seen = track.scene_s(model.delay_of(track.sensor)), track.y
@@ -125,6 +128,7 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
     t_s, seen = t_s[inside], seen[inside]
     q = np.interp(t_s, motor.t_s, motor.q)
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motor.q)))])
+    # Translation and rotation at the frames, 0 where they were not recorded: the pose depends on them.
     others = [
         np.zeros_like(t_s) if column is None else np.interp(t_s, motor.t_s, column)
         for column in (motor.translation_mm, motor.rotation_deg)
@@ -150,18 +154,19 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         seen=seen,
         c_deg=c_deg,
         error=np.array([seen - each for each in predicted]).reshape(len(STAGES), len(t_s), seen.shape[1]),
-        settled=settled(model, motor, t_s),
+        settled=is_settled(model, motor, t_s),
         offset_s=np.array([offset_s]),
         names=np.array([recording.name]),
     )
 
 
-def settled(model: Model, motor: Motor, t_s: Array) -> Array:
-    """(n,) bool at scene times t_s (n,): whether the tip's place no longer depends on where within the backlash it
-    began, which is not known; before that nothing can be scored. Two tips that begin at either end of the backlash are
-    simulated: true once they stay together. If the motor ever drove the tip through the backlash both ways it is not
-    true before that, as B may be narrower where nothing was measured."""
-    reach = 0.5 * float(model.width.max())
+def is_settled(model: Model, motor: Motor, t_s: Array) -> Array:
+    """(n,) bool at scene times t_s (n,): whether the tip's position no longer depends on where within the backlash it
+    started, which is unknown, so that errors can be scored. It is simulated from both ends of the backlash; the result
+    is true after the last time at which the two angles differ. If the motor ever drove the tip through a full backlash
+    in both directions (`settled_from`), the result is false before that too, as the model's B may be too narrow where
+    it was not measured."""
+    reach = 0.5 * float(model.width.max())  # half of the widest backlash, unit of q
     ends = [model.simulate(motor, t_s, float(model.remaining(motor.q[0] + side * reach))) for side in (-1.0, 1.0)]
     apart = np.abs(ends[0] - ends[1]) > 1e-9  # deg: more than rounding
     latest = t_s[apart].max() if apart.any() else -np.inf
@@ -171,16 +176,16 @@ def settled(model: Model, motor: Motor, t_s: Array) -> Array:
 
 @dataclass(frozen=True)
 class Run:
-    """A trajectory of the tip that was followed open loop (`taut follow`), kept for the report."""
+    """A run in which the tip followed a trajectory open loop (`taut follow`), kept for the report."""
 
-    t_s: Array  # (n,) board time
-    goal_deg: Array  # (n,) as planned
-    tip_deg: Array  # (n,) as it was
-    counted: Array  # (n,) bool: where it is scored
+    t_s: Array  # (n,) board time, s
+    goal_deg: Array  # (n,) bending angle as planned
+    tip_deg: Array  # (n,) bending angle as it was
+    counted: Array  # (n,) bool: whether the error counts
 
     @property
     def rms_deg(self) -> float:
-        """Rms of the tip less its goal where it is scored, deg; NaN where it never is."""
+        """The rms of tip minus goal, deg, over the samples that count; NaN where none does."""
         error = (self.tip_deg - self.goal_deg)[self.counted]
         return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 
@@ -193,8 +198,8 @@ class Run:
 
     @classmethod
     def load_all(cls, folder: Path) -> dict[str, Self]:
-        """Reads the runs in a model's folder, by compensation (of COMPENSATIONS); those that are not there are left
-        out."""
+        """Reads the runs in a model's folder, by compensation (one of COMPENSATIONS); a compensation without a file is
+        left out. TautError where a file is damaged."""
         runs = {}
         for compensation in COMPENSATIONS:
             path = folder / f"follow-{compensation}.csv"

@@ -1,4 +1,5 @@
-"""The pictures of a report. Each function draws into new axes and returns a matplotlib Figure; no window is opened."""
+"""The pictures of a report. Functions that return a matplotlib Figure make a new one; `draw_...` draw into given axes.
+No window is opened."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ UP, DOWN, MODEL, BAND = "#1f6fb2", "#d9772b", "#b3202c", "#f3c9cc"
 STAGE_COLOURS = (INK, "#2f9e5b", "#d9a400")  # black, green, yellow: the paper's Figs. 10 and 11
 SERIES = ("#1f6fb2", "#d9772b", "#2f9e5b", "#8e4ec6", "#b3202c", "#0f8b8d", "#7b8794")
 
-_ENDINGS = (".png", ".svg", ".pdf")  # format: of a picture
+_ENDINGS = (".png", ".svg", ".pdf")  # format: file endings of a picture
 STYLE: Any = {  # matplotlib's own names
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -51,14 +52,14 @@ MANY = 3000  # format: samples from which a scatter is drawn as pixels inside th
 
 
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Array]:
-    """A figure of width x height inches and its axes (rows, columns), in the current style. options: of matplotlib's
-    `subplots`."""
+    """Makes a figure of width x height inches with rows x columns axes, in matplotlib's current style. Returns it and
+    its axes, an array (rows, columns). options: further ones of matplotlib's `subplots`."""
     made = Figure(figsize=(width, height), layout="constrained")
     return made, made.subplots(rows, columns, squeeze=False, **options)
 
 
 def data_uri(made: Figure) -> str:
-    """A figure as an SVG image in a data: URI, so that a page holds it."""
+    """The figure `made` as an SVG image in a data: URI, so that a page needs no other file."""
     out = io.BytesIO()
     with mpl.rc_context(STYLE):
         made.savefig(out, format="svg", dpi=120, metadata={"Date": None, "Creator": None})
@@ -66,21 +67,23 @@ def data_uri(made: Figure) -> str:
 
 
 def check_ending(path: Path) -> None:
-    """TautError where a file's ending is no picture's that `save` can write; called before work is done for it."""
+    """Raises a TautError where `save` cannot write a picture with the path's ending; to be called before the work for
+    the picture is done."""
     if path.suffix.lower() not in _ENDINGS:
         raise TautError(f"{path}: a picture ends in {', '.join(_ENDINGS)}: name it so")
 
 
 def save(made: Figure, path: Path) -> None:
-    """Writes a figure as PNG, SVG or PDF, by the file's ending, whole or not at all."""
+    """Writes the figure `made` to `path`, whole or not at all, as PNG, SVG or PDF by the path's ending."""
     with mpl.rc_context(STYLE), whole_file(path) as file:
         made.savefig(file, dpi=120)
 
 
 def onsets_of(model: Model) -> list[Onset]:
-    """The reversals that a model was calibrated from (model.json's onsets) in the order of time, used or not: numbers
-    (t_s; direction, 1 or -1; q1, q2, width, sigma in the unit of q), NaN where not measured, and texts (recording,
-    reason, kind). TautError where they are damaged."""
+    """The onsets, one for each reversal, that a model was calibrated from (`onsets` in model.json), in the order of
+    time. Each is a mapping of numbers, NaN where not measured: t_s; direction, 1 or -1; in the unit of q q1 and q2
+    (motor at the turn and at the onset), width and its sigma; of texts: recording, reason, kind; and of `used`, whether
+    B was fitted to it. TautError where they are damaged."""
     numbers = ("t_s", "direction", "q1", "q2", "width", "sigma")
     onsets: list[Onset] = []
     try:
@@ -93,13 +96,14 @@ def onsets_of(model: Model) -> list[Onset]:
     return sorted(onsets, key=lambda onset: onset["t_s"])
 
 
-def finer(unit: str) -> tuple[str, float]:
-    """The unit in which small changes of B are shown, um for mm, and how many of it are one unit of q."""
+def fine_unit(unit: str) -> tuple[str, float]:
+    """The unit in which small changes of B are shown, and the factor from the unit of q to it: µm and 1000 for mm, else
+    the unit itself and 1."""
     return ("µm", 1e3) if unit == "mm" else (unit, 1.0)
 
 
 def common_unit(models: Mapping[str, Model]) -> str:
-    """The unit of q of models that are compared. TautError where there is none, or more than one."""
+    """The unit of q that the models to be compared share. TautError without models, or where their units differ."""
     units = {model.rig.actuator.unit for model in models.values()}
     if not units:
         raise TautError("no model to compare: name two or more")
@@ -109,25 +113,27 @@ def common_unit(models: Mapping[str, Model]) -> str:
 
 
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
-    """The onsets that B(q) was fitted to, and those that were left out."""
+    """Two lists: the onsets that B(q) was fitted to, and those that were left out."""
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
 
 
 def knots_of(model: Model) -> Array | None:
-    """The knots of B's spline, unit of q, for a model that was calibrated with the paper's knots; None for others."""
+    """The knots (k,) of B's spline, unit of q, for a model that was calibrated with the paper's knots (--knots paper);
+    None for other models."""
     if model.extra.get("options", {}).get("knots") != "paper":
         return None
     return paper_knots(float(model.q[0]), float(model.q[-1]))
 
 
 def q_mean(onset: Onset) -> float:
-    """The middle between the motor's positions at the turn and at the onset, unit of q."""
+    """The q at which an onset's width is drawn: midway between the motor's positions at the turn and at the onset."""
     return 0.5 * float(onset["q1"] + onset["q2"])
 
 
 def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Array | None = None) -> None:
-    """Draws B(q) with its band and every width that was measured (the paper's Fig. 8), hollow and without a bar where
-    2 sigma exceeds the width. Grey: where B was not measured. knots: unit of q, drawn as lines."""
+    """Draws B(q) with its band of 2 sigma and every measured width (the paper's Fig. 8). A width whose 2 sigma exceeds
+    it is hollow and has no error bar. The range where B was not measured is grey. knots: unit of q, drawn as vertical
+    lines."""
     unit, (low, high) = model.rig.actuator.unit, model.measured
     measured = model.is_measured
     used, _ = split_onsets(onsets)
@@ -135,7 +141,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     reaches = [o["width"] + 2 * o["sigma"] for o in precise]
     highest = max([o["width"] for o in used], default=0.0)
     level = max(highest, float(model.width[measured].max()) if measured.any() else 0.0, 1e-9)
-    top = max(1.25 * level, min(1.05 * max(reaches, default=0.0), 3.0 * level))  # every bar, but for wild ones
+    top = max(1.25 * level, min(1.05 * max(reaches, default=0.0), 3.0 * level))  # holds every bar, but for huge ones
     at = [q_mean(o) for o in used]
     ends = min([float(model.q[0]), *at]), max([float(model.q[-1]), *at])  # a motor may have gone beyond the range
     axes.fill_between(
@@ -161,8 +167,8 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
 
 
 def _draw_widths(axes: Axes, precise: Sequence[Onset], vague: Sequence[Onset]) -> None:
-    """Draws the widths that onsets measured over their q, by direction: `precise` with a bar of 2 sigma, `vague` hollow
-    and without one."""
+    """Draws the widths that onsets measured over their q, with a marker and a colour for each direction: those of
+    `precise` with an error bar of 2 sigma, those of `vague` hollow and without one."""
     for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
         if mine := [o for o in vague if np.sign(o["direction"]) == direction]:
             at, widths = [q_mean(o) for o in mine], [o["width"] for o in mine]
@@ -182,8 +188,9 @@ def _draw_widths(axes: Axes, precise: Sequence[Onset], vague: Sequence[Onset]) -
 
 
 def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> None:
-    """Draws what was seen on the way up and down, f_coarse and f_remain over the motor position (the paper's Fig.
-    9)."""
+    """Draws over the motor position the bending angle that was seen, in one colour while q rises and in another while
+    it falls, and the curves f_coarse and f_remain (the paper's Fig. 9). evidence: None or without rows draws the curves
+    alone."""
     unit = model.rig.actuator.unit
     if evidence is not None and len(evidence.q):
         rising = np.gradient(evidence.q) >= 0 if len(evidence.q) > 1 else np.ones(1, dtype=bool)
@@ -208,7 +215,8 @@ def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> 
 
 @mpl.rc_context(STYLE)
 def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots: Array | None = None) -> Figure:
-    """The first picture of a report: B(q) beside the characteristic. knots: as in `draw_backlash`."""
+    """The first picture of a report: B(q) on the left, the characteristic on the right. Arguments as in `draw_backlash`
+    and `draw_characteristic`."""
     made, axes = figure(11, 3.9, 1, 2)
     draw_backlash(axes[0, 0], model, onsets, knots)
     draw_characteristic(axes[0, 1], model, evidence)
@@ -216,8 +224,9 @@ def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots
 
 
 @mpl.rc_context(STYLE)
-def gain(evidence: Evidence) -> Figure:
-    """A figure of how far each of STAGES is from what was seen, over time (the paper's Fig. 11)."""
+def stage_errors(evidence: Evidence) -> Figure:
+    """A figure of the distance between prediction and observation for each of STAGES over time (the paper's Fig. 11),
+    at the settled rows, on a logarithmic axis."""
     made, axes = figure(11, 3.0)
     ax = axes[0, 0]
     scored = evidence.settled
@@ -225,7 +234,7 @@ def gain(evidence: Evidence) -> Figure:
         distance = np.linalg.norm(error[scored], axis=1)
         ax.semilogy(
             evidence.t_s[scored],
-            np.maximum(distance, 1e-4),
+            np.maximum(distance, 1e-4),  # 0 has no logarithm
             ".",
             ms=2,
             color=colour,
@@ -234,13 +243,13 @@ def gain(evidence: Evidence) -> Figure:
         )
     ax.set(xlabel="time (s)", ylabel=f"distance ({evidence.unit})")
     ax.set_title("How far each model is from what was seen")
-    _legend_above(ax, 3, markerscale=4)
+    _put_legend_above(ax, 3, markerscale=4)
     return made
 
 
-def main_axis(evidence: Evidence) -> tuple[Array, str]:
-    """What was seen as one coordinate (n,): the angle, deg, or the marker along the principal direction of its path,
-    px; and the label for its axis."""
+def principal_coordinate(evidence: Evidence) -> tuple[Array, str]:
+    """Reduces `seen` to one coordinate (n,): the angle, deg, or the marker's position along the principal direction of
+    its path, px, from the mean position. Returns it and the label for its axis."""
     if evidence.seen.shape[1] == 1:
         return evidence.seen[:, 0], "c (deg)"
     centred = evidence.seen - evidence.seen.mean(axis=0)
@@ -251,11 +260,12 @@ def main_axis(evidence: Evidence) -> tuple[Array, str]:
 
 
 @mpl.rc_context(STYLE)
-def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figure:
-    """A figure of motor and marker over time, with every onset, used or not."""
+def recorded_motion(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figure:
+    """A figure of the motor and of the marker (or angle) over time, with every onset as a dot, green where it was used,
+    else red. motor_unit: of q."""
     made, axes = figure(11, 4.0, 2, 1, sharex=True)
-    position, name = main_axis(evidence)
-    order = np.argsort(evidence.t_s, kind="stable")  # recordings may have been given in any
+    position, name = principal_coordinate(evidence)
+    order = np.argsort(evidence.t_s, kind="stable")  # np.interp needs it; recordings may come in any order
     for ax, values, colour, label in (
         (axes[0, 0], evidence.q, UP, f"q ({motor_unit})"),
         (axes[1, 0], position, INK, name),
@@ -276,7 +286,7 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
                 color=colour,
                 label=f"onset {'used' if used else 'not used'} ({len(times)})",
             )
-    _legend_above(axes[0, 0], 2)
+    _put_legend_above(axes[0, 0], 2)
     axes[0, 0].set_title("What was recorded")
     axes[1, 0].set_xlabel("time (s)")
     return made
@@ -284,8 +294,9 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
 
 @mpl.rc_context(STYLE)
 def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], count: int = 3) -> Figure | None:
-    """A figure of `count` used onsets, evenly from low to high q: how far the tip moved over the motor's way since it
-    turned, with the fitted hinge. None where no used onset has frames enough."""
+    """A figure of up to `count` used onsets, evenly chosen from low to high q: how far the tip moved over the motor's
+    way since it turned, with the fitted hinge (level, then a slope from the width on) and the width's 2 sigma. None
+    where no used onset has enough frames."""
     used = sorted(split_onsets(onsets)[0], key=q_mean)
     views = [view for onset in used if (view := _frames_around(evidence, onset)) is not None]
     if not views:
@@ -316,21 +327,22 @@ def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], co
 
 
 class _FramesAround(NamedTuple):
-    """k frames around an onset, for its picture."""
+    """The k frames around an onset, for its picture."""
 
     onset: Onset
-    way: Array  # (k,) of the motor since it turned, unit of q
-    moved: Array  # (k,) how far the tip had moved by then, px or deg, in the direction in which it goes
-    slope: float  # of `moved` over `way` after the onset
+    way: Array  # (k,) the motor's way since it turned, unit of q
+    moved: Array  # (k,) how far the tip had moved by then in the direction of its motion, px or deg
+    slope: float  # of `moved` over `way` after the onset, px or deg per unit of q
 
 
 def _frames_around(evidence: Evidence, onset: Onset) -> _FramesAround | None:
-    """The frames around an onset; None where too few show it."""
+    """The frames from shortly before the turn to well after the onset; None where fewer than 2 frames are surely before
+    the onset or fewer than 3 surely after it."""
     width = max(onset["width"], 1e-9)
     t2 = onset["t_s"] + _clock_offset(evidence, onset)
     same = evidence.recording == evidence.index(onset["recording"])
     way = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
-    # Shares of the width: what is shown, and what is surely before or after the onset.
+    # `way` is 0 at the turn and `width` at the onset t2. In shares of the width: what is shown; surely before or after.
     near = (way > -0.8 * width) & (way < 1.8 * width)
     way, seen = way[near], evidence.seen[same][near]
     still = (way > 0.1 * width) & (way < 0.95 * width)
@@ -341,13 +353,14 @@ def _frames_around(evidence: Evidence, onset: Onset) -> _FramesAround | None:
     towards = seen[moving].mean(axis=0) - level
     towards = towards / max(float(np.linalg.norm(towards)), 1e-12)
     moved = (seen - level) @ towards
-    reach = way[moving] - width
+    reach = way[moving] - width  # the slope is a least-squares line through the hinge, `moved` = 0 at `width`
     return _FramesAround(onset, way, moved, slope=float(reach @ moved[moving] / (reach @ reach)))
 
 
 @mpl.rc_context(STYLE)
 def residuals(evidence: Evidence, motor_unit: str) -> Figure:
-    """A figure of what was seen minus what the whole model predicts, over time and over q."""
+    """A figure of the residuals at the settled rows, seen minus predicted by the whole model (the last of STAGES), over
+    time and over q. motor_unit: of q."""
     made, axes = figure(11, 2.9, 1, 2, sharey=True, width_ratios=[2, 1])
     names = ("u", "v") if evidence.unit == "px" else ("c",)
     for i, (name, colour) in enumerate(zip(names, (UP, DOWN), strict=False)):
@@ -358,14 +371,14 @@ def residuals(evidence: Evidence, motor_unit: str) -> Figure:
     axes[0, 0].set_title("Residuals of f_remain + B")
     axes[0, 1].set_xlabel(f"q ({motor_unit})")
     if len(names) > 1:
-        _legend_above(axes[0, 0], 2, markerscale=5)
+        _put_legend_above(axes[0, 0], 2, markerscale=5)
     return made
 
 
 @mpl.rc_context(STYLE)
 def cross_check(model: Model, pass_width: Array) -> Figure:
-    """A figure of the model's B beside B by the distance of the two passes, pass_width (n,) on model.q with NaN where
-    that is not known, and their difference."""
+    """A figure of B measured twice, by the model and by the distance of the passes up and down, and of the difference.
+    pass_width: (n,) the latter on model.q, unit of q, NaN where it is not known."""
     unit = model.rig.actuator.unit
     made, axes = figure(11, 2.9, 1, 2, width_ratios=[3, 2])
     left, right = axes[0]
@@ -378,6 +391,7 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
     right.fill_between(model.q, -2 * model.width_sigma, 2 * model.width_sigma, color=BAND, lw=0, label="± 2 sigma")
     difference = pass_width - model.width
     right.plot(model.q, difference, color=UP, lw=1.2)
+    # The axis holds the largest difference, and 3 of the typical sigmas.
     worst = np.nanmax(np.abs(difference)) if np.isfinite(difference).any() else 1.0
     measured = model.is_measured
     band = 3 * float(np.median(model.width_sigma[measured])) if measured.any() else 0.0
@@ -388,9 +402,9 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
 
 
 @mpl.rc_context(STYLE)
-def followed(runs: Mapping[str, Run]) -> Figure:
-    """A figure of runs of `taut follow`, by compensation: the commanded angle, what the tip did, and the error, over
-    time."""
+def followed_runs(runs: Mapping[str, Run]) -> Figure:
+    """A figure over time of the runs of `taut follow`, by compensation: above the tip's angle beside the angle asked
+    for (the first run's), below the tracking error where it counts. runs: at least one."""
     made, axes = figure(11, 4.6, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     names = {"off": "without compensation", "backlash": "with f_coarse and B", "full": "with f_remain and B"}
@@ -406,14 +420,14 @@ def followed(runs: Mapping[str, Run]) -> Figure:
     bottom.set(xlabel="time (s)", ylabel="off by (deg)")
     bottom.set_title("Tracking error")
     for ax in (top, bottom):
-        _legend_above(ax, 4)
+        _put_legend_above(ax, 4)
     return made
 
 
 @mpl.rc_context(STYLE)
 def compared(models: Mapping[str, Model]) -> Figure:
-    """A figure of B and f_remain of several models, by name (the paper's Fig. 2), and below of each one's differences
-    from the first: equal curves hide each other, differences do not."""
+    """A figure of several models, by name: above B and f_remain of each (the paper's Fig. 2), below the differences of
+    each from the first model, as equal curves would hide each other. TautError where their units differ."""
     unit = common_unit(models)
     first = next(iter(models.values()))
     made, axes = figure(11, 7.4, 2, 2, sharex="col")
@@ -439,7 +453,7 @@ def compared(models: Mapping[str, Model]) -> Figure:
     axes[0, 1].set_title("f_remain (thick) and the envelopes that B makes of it")
     axes[0, 0].legend(loc="best")
     first_name = next(iter(models))
-    axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({finer(unit)[0]})")
+    axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({fine_unit(unit)[0]})")
     axes[1, 0].set_title(f"B less that of {first_name}, ± 2 sigma of the difference")
     axes[1, 1].set(xlabel=f"q ({unit})", ylabel="rest of f_remain's change (deg)")
     axes[1, 1].set_title(f"f_remain less that of {first_name}, its mean taken off")
@@ -451,16 +465,17 @@ def compared(models: Mapping[str, Model]) -> Figure:
 
 
 def _draw_change(of_width: Axes, of_angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
-    """Draws a model's B (into the axes `of_width`) and f_remain (into `of_angle`, the mean taken off and said in the
-    legend) less those of `first`, with 2 sigma, over the q that both have measured; nothing where there is none. line:
-    the style, and the model's name as its label."""
+    """Draws how a model differs from the model `first`, with 2 sigma, over the q that both have measured; nothing where
+    there is no such q. Into the axes `of_width` goes the difference of B, in `fine_unit`; into `of_angle` that of
+    f_remain, deg, without its mean, which is told in the legend. line: matplotlib's style of the curves, with the
+    model's name as label."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     if not high > low:
         return
     q = np.linspace(low, high, 401)
     change = np.interp(q, model.q, model.width) - np.interp(q, first.q, first.width)
     sigma = np.hypot(np.interp(q, model.q, model.width_sigma), np.interp(q, first.q, first.width_sigma))
-    per_unit = finer(first.rig.actuator.unit)[1]
+    per_unit = fine_unit(first.rig.actuator.unit)[1]
     low_side, high_side = per_unit * (change - 2 * sigma), per_unit * (change + 2 * sigma)
     of_width.fill_between(q, low_side, high_side, color=line["color"], alpha=0.15, lw=0)
     of_width.plot(q, per_unit * change, **line)
@@ -476,8 +491,8 @@ def _draw_change(of_width: Axes, of_angle: Axes, first: Model, model: Model, lin
 
 @mpl.rc_context(STYLE)
 def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
-    """A figure of the servo's step responses (live.commission.StepResponse) by factor of the gains; that of the factor
-    which was `chosen` is thick."""
+    """A figure of the servo's step responses (live.commission.StepResponse), by the factor on its gains: position
+    above, following error below, in encoder counts. The response with the `chosen` factor is thick."""
     made, axes = figure(11, 5.0, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     for (factor, step), colour in zip(steps.items(), _colours(len(steps)), strict=True):
@@ -492,23 +507,23 @@ def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
     bottom.set(xlabel="time (ms)", ylabel="off by (counts)")
     bottom.set_title("Following error")
     for ax in (top, bottom):
-        _legend_above(ax, 5)
+        _put_legend_above(ax, 5)
     return made
 
 
-def _legend_above(ax: Axes, columns: int, markerscale: float | None = None) -> None:
-    """Puts the legend above the axes' upper right corner, where it hides nothing. markerscale: of its markers' size to
-    that in the picture, by default the style's."""
+def _put_legend_above(ax: Axes, columns: int, markerscale: float | None = None) -> None:
+    """Puts the legend, in this many columns, above the axes' upper right corner, where it hides nothing. markerscale:
+    size of its markers relative to those in the picture; None: matplotlib's default."""
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, markerscale=markerscale, borderaxespad=0.1)
 
 
 def _colours(count: int) -> list[Any]:
-    """`count` different colours for lines: the first of SERIES, or a colour map's where those are too few."""
+    """`count` different colours for lines: the first of SERIES, or colours of a colour map where SERIES has fewer."""
     if count <= len(SERIES):
         return list(SERIES[:count])
     return list(mpl.colormaps["viridis"](np.linspace(0, 0.9, count)))
 
 
 def _clock_offset(evidence: Evidence, onset: Onset) -> float:
-    """What is added to an onset's time, of its recording's clock, to have it on the recordings' common clock, s."""
+    """The offset, s, that turns an onset's time on its recording's clock into the recordings' common clock."""
     return float(evidence.offset_s[evidence.index(onset["recording"])])

@@ -1,4 +1,4 @@
-"""A model's report and the comparison of models, as pages that stand alone: no network, no other file."""
+"""A model's report and the comparison of models, as HTML pages that need no network and no other file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tautline.trajectory import NEXT_FILE
 from tautline.vision.snapshot import snapshot
 
 FILE = "report.html"
-CAMERA_FILE = "camera.jpg"  # in a model's folder: what the camera saw, with the marker's way
+CAMERA_FILE = "camera.jpg"  # in a model's folder: a frame of the camera, with the marker's path
 _COARSE_IS_WRONG = frozenset({"coarse", "registration.static", "range", "predicts"})
 
 
@@ -50,9 +50,10 @@ class Number:
 
 
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
-    """Writes a whole MODEL folder with its report, all or nothing, in place of an earlier one. recordings: that the
-    model was calibrated from; without any, or where none saw the tip within the motor's times, the report is of the
-    tables alone. Returns the result in sentences."""
+    """Writes a MODEL folder with its report, whole or not at all, in place of an earlier one, and returns the result in
+    sentences. recordings: those that the model was calibrated from. Without any, or where none saw the tip within the
+    motor's times, the report shows the tables alone. TautError where the recordings have neither marker nor angle, or
+    `folder` holds something else."""
     with replaced_folder(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, NEXT_FILE)) as target:
         evidence = collect(model, recordings) if recordings else None
         if evidence is not None and len(evidence.t_s) == 0:
@@ -66,15 +67,15 @@ def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> l
 
 
 def _save_camera_picture(recordings: Sequence[Recording], folder: Path) -> None:
-    """Writes camera.jpg into a model's folder: a frame with the marker's path over it, of the first recording that has
-    one; nothing where none has."""
+    """Writes camera.jpg into a model's folder: a frame of the first recording that has one, with the marker's path over
+    it if the marker was seen. Writes nothing where no recording has a frame."""
     seen = next((shown for each in recordings if (shown := snapshot(each)) is not None), None)
     if seen is not None:
         cv2.imwrite(str(folder / CAMERA_FILE), seen, [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
 def _camera_picture(folder: Path) -> Picture | None:
-    """The picture of camera.jpg in a model's folder for its page; None where there is none."""
+    """The file camera.jpg in a model's folder as a picture for its page; None where there is no such file."""
     path = folder / CAMERA_FILE
     if not path.is_file():
         return None
@@ -85,14 +86,15 @@ def _camera_picture(folder: Path) -> Picture | None:
 
 
 def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "") -> Path:
-    """Writes report.html into a model's folder: what was measured, how good it is, what it gains; returns its path.
-    evidence: None writes of the tables alone; name: of the model for the title, "": the folder's."""
+    """Writes report.html into a model's folder, which says what was measured, how good it is and what it gains, and
+    returns its path. The runs of `taut follow` in the folder are shown too. evidence: None: the report shows the tables
+    alone; name: the model's name in the title, "": that of the folder."""
     onsets = figures.onsets_of(model)
     used, unused = figures.split_onsets(onsets)
     runs = Run.load_all(folder)
     page: dict[str, Any] = {
         "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
-        "source": _source(model, evidence),
+        "source": _source_line(model, evidence),
         "quality": model.quality.to_json(),
         "reasons": [
             {"code": r.code, "says": r.says, "remedy": r.remedy, "topic": topics().get(r.code)}
@@ -100,7 +102,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         ],
         "camera": _camera_picture(folder),
         "result": sentences(model, evidence) + _run_sentences(runs),
-        "numbers": _numbers(model, used, unused, evidence),
+        "numbers": _number_rows(model, used, unused, evidence),
         "notes": model.extra.get("notes", []),
         "motor_unit": model.rig.actuator.unit,
         "unit": evidence.unit if evidence else "",
@@ -111,7 +113,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             "them, its band; grey: not reached. "
             "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
         ),
-        "stages": _stages(evidence) if model.quality.usable else [],
+        "stages": _stage_rows(evidence) if model.quality.usable else [],
         "gain": None,
         "runs": None,
         "onset_count": len(onsets),
@@ -126,7 +128,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         page |= _evidence_pictures(model, evidence, onsets)
     if runs:
         page["runs"] = picture(
-            figures.followed(runs),
+            figures.followed_runs(runs),
             "A trajectory followed open loop",
             "Scored after the first full take-up in both directions.",
         )
@@ -136,16 +138,17 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
 
 
 def _evidence_pictures(model: Model, evidence: Evidence, onsets: Sequence[figures.Onset]) -> dict[str, Picture]:
-    """The pictures of a model's page that show its recordings, by their names in the template. onsets: the model's."""
+    """The pictures of a model's page that show its recordings, by their names in the template. onsets: the model's
+    (figures.onsets_of)."""
     unit = model.rig.actuator.unit
     pictures = {
         "gain": picture(
-            figures.gain(evidence),
+            figures.stage_errors(evidence),
             "Distance between prediction and measurement",
             "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
         ),
         "track": picture(
-            figures.track(evidence, onsets, unit),
+            figures.recorded_motion(evidence, onsets, unit),
             f"Motor and {'marker' if model.sensor == MARKER else 'angle'} over time",
             "Dots: where the tip began to move.",
         ),
@@ -160,15 +163,15 @@ def _evidence_pictures(model: Model, evidence: Evidence, onsets: Sequence[figure
         pictures["closely"] = picture(
             closely,
             "Some onsets closely",
-            f"Dots: {_shown(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
+            f"Dots: {_row_noun(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
             "where it bends.",
         )
     return pictures
 
 
 def _cross_check_picture(model: Model) -> Picture | None:
-    """The picture of B by the onsets beside B by the distance of the two passes; None for a model without the
-    latter."""
+    """The picture that compares the model's B with B by the distance of the passes up and down; None for a model
+    without that second measurement (`pass_width` in model.json)."""
     passes = model.extra.get("pass_width")
     if passes is None:
         return None
@@ -182,12 +185,12 @@ def _cross_check_picture(model: Model) -> Picture | None:
 
 
 def write_comparison(models: Mapping[str, Model], path: Path) -> None:
-    """Writes a page on how B and f_remain differ between models, by name, each against the first (the paper's Fig.
-    2)."""
+    """Writes the page at `path` on how B and f_remain of each model, by name, differ from those of the first model (the
+    paper's Fig. 2). TautError where the models' units differ."""
     rows = comparison(models)
     names = list(models)
     unit = models[names[0]].rig.actuator.unit
-    fine, per_unit = figures.finer(unit)
+    fine, per_unit = figures.fine_unit(unit)
     page = {
         "title": "How backlash and f_remain changed",
         "result": _comparison_sentences(rows, unit),
@@ -226,17 +229,18 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
 
 
 def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
-    """For each model, by name, a row of its changes against the first over the q that both have measured, as
-    `_comparison_row` says."""
+    """A row for each model, by name, with its changes against the first model; the columns are those of
+    `_comparison_row`."""
     first = next(iter(models.values()))
     return [_comparison_row(name, model, first) for name, model in models.items()]
 
 
 def _comparison_row(name: str, model: Model, first: Model) -> dict[str, Any]:
-    """The row of one model in `comparison`: its changes against the model `first` over the q that both have measured,
-    at 201 even places; NaN where there is no such q. Widths are in the unit of q, their change in sigmas is over that
-    of the difference. f_remain's change, deg, is told in two parts, its mean and the rms of the rest about that: the
-    mean is also what a motor's zero that moved makes of an instrument that did not change."""
+    """The row of one model in `comparison`: its changes against the model `first` at 201 even places over the q that
+    both have measured. Where there is no such q the range is None and all other numbers but the delay are NaN. Widths
+    are in the unit of q; `width_change_sigmas` is the rms of the change over the sigma of the difference. f_remain's
+    change, deg, is split into its mean and the rms about that mean, as a shift of the motor's zero alone changes the
+    mean too."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     q = np.linspace(low, high, 201) if high > low else np.empty(0)
     width, base = (np.interp(q, m.q, m.width) for m in (model, first))
@@ -264,13 +268,13 @@ def _comparison_row(name: str, model: Model, first: Model) -> dict[str, Any]:
 
 
 def write_page(template: str, page: Mapping[str, Any], path: Path, beside: Path | None = None) -> None:
-    """Writes a page from a template of the package, or of the folder `beside`. page: the template's variables, to which
-    `footer` is added."""
+    """Renders a page from a jinja2 template and writes it to `path`. template: file name in the package's templates,
+    or else in the folder `beside`; page: the template's variables, to which `footer` (version and time) is added."""
     write_file(path, _render(template, page, beside))
 
 
 def _render(template: str, page: Mapping[str, Any], beside: Path | None = None) -> str:
-    """The page's HTML; arguments as in write_page."""
+    """The page's HTML, with all variables escaped; an undefined variable is an error. Arguments as in `write_page`."""
     loaders: list[jinja2.BaseLoader] = [jinja2.PackageLoader("tautline.reports")]
     if beside is not None:
         loaders.append(jinja2.FileSystemLoader(beside))
@@ -282,13 +286,13 @@ def _render(template: str, page: Mapping[str, Any], beside: Path | None = None) 
 
 
 def picture(made: Figure, title: str, caption: str) -> Picture:
-    """A figure as a picture on a page, as SVG."""
+    """Makes a page's picture of the figure `made`, as SVG within the page."""
     return Picture(figures.data_uri(made), title, caption)
 
 
 def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
-    """A value with so many significant digits, at most 6 decimals, no exponent; "not measured" for None, NaN, inf.
-    sign: with + before a positive one."""
+    """A value as text with this many significant digits, but at most 6 decimals and no exponent; "not measured" for
+    None, NaN and infinities. sign: with a + before a positive value."""
     if value is None or not np.isfinite(value):
         return "not measured"
     if round(value, 6) == 0:
@@ -298,26 +302,27 @@ def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
 
 
 def _with_unit(value: float, unit: str, digits: int = 3) -> str:
-    """A number with its unit, between which a line cannot be broken."""
+    """A number as `_digits` writes it and its unit, joined by a space at which no line is broken."""
     return f"{_digits(value, digits)}\u00a0{unit}"
 
 
-def _source(model: Model, evidence: Evidence | None) -> str:
-    """The page's line on what it is made from: recordings, their length and the motor's range."""
+def _source_line(model: Model, evidence: Evidence | None) -> str:
+    """The page's line on what it is made from: with evidence the recordings' names and the number of frames or
+    readings; and the motor's range."""
     made = f"from {', '.join(evidence.names)}; " if evidence else ""
     low, high = model.rig.actuator.range
-    length = f"{len(evidence.t_s)} {_shown(evidence)}; " if evidence else ""
+    length = f"{len(evidence.t_s)} {_row_noun(evidence)}; " if evidence else ""
     return f"{made}{length}motor range {low:g} to {high:g} {model.rig.actuator.unit}"
 
 
-def _shown(evidence: Evidence) -> str:
-    """What a row of the evidence is, in the plural: "frames" or "readings"."""
+def _row_noun(evidence: Evidence) -> str:
+    """The word for the evidence's rows: "frames" of a camera, or "readings" of an angle sensor."""
     return "frames" if evidence.unit == "px" else "readings"
 
 
 def sentences(model: Model, evidence: Evidence | None) -> list[str]:
-    """A calibration's result for a person, in sentences: B, how well it is known, and, with evidence, how well the
-    model predicts the recordings."""
+    """A calibration's result for a person, in sentences: the range of B, how well it is known, and, with evidence and a
+    usable model, how well the model predicts the recordings and how far off backlash alone would put the tip."""
     unit, inside = model.rig.actuator.unit, model.is_measured
     lines = []
     if inside.any():
@@ -353,21 +358,24 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
 
 
 def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
-    """How far backlash alone puts the tip off where it is not compensated: the rms difference between the seen angle
-    and f_remain at the motor's position, deg, and the same in the unit of q."""
+    """How far backlash alone puts the tip off if it is not compensated, over the settled rows: the rms of the
+    difference between f_remain(q) and the seen angle c, deg; and the same in the unit of q, between q and f_remain's
+    inverse at c."""
     q, c_deg = evidence.q[evidence.settled], evidence.c_deg[evidence.settled]
     off = np.column_stack([model.remaining(q) - c_deg, q - model.remaining_inverse(c_deg)])
     deg, motor = np.sqrt(np.nanmean(off**2, axis=0))
     return float(deg), float(motor)
 
 
-def _times(worse: float, better: float) -> str:
-    """How many times larger `worse` is than `better`, as text with two digits."""
+def _ratio(worse: float, better: float) -> str:
+    """The ratio worse / better as text with two significant digits."""
     return _digits(worse / max(better, 1e-12), 2)
 
 
-def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
-    """The rows of the page's table of numbers. used, unused: the model's onsets."""
+def _number_rows(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
+    """The rows of the page's table of numbers: least and greatest B and the measured range (if any B was measured), the
+    number of reversals, the delay, and with evidence of a usable model the rms of the prediction's error. used, unused:
+    the model's onsets."""
     unit, inside = model.rig.actuator.unit, model.is_measured
     numbers = []
     if inside.any():
@@ -392,10 +400,10 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
     return numbers
 
 
-def _stages(evidence: Evidence | None) -> list[list[str]]:
-    """The page's table of STAGES, a row each: name, rms per coordinate, distance from what was seen (mean ± standard
-    deviation, and the largest), and how many times smaller the rms is than f_coarse's. [] where nothing can be
-    scored."""
+def _stage_rows(evidence: Evidence | None) -> list[list[str]]:
+    """The page's table of STAGES, over the settled rows. A row has the stage's name, the rms error per coordinate, the
+    distance from what was seen (mean ± standard deviation, then the largest), and how many times smaller the rms is
+    than that of f_coarse. [] without evidence or settled rows."""
     if evidence is None or not evidence.settled.any():
         return []
     rms = evidence.rms()
@@ -408,18 +416,18 @@ def _stages(evidence: Evidence | None) -> list[list[str]]:
                 _digits(value),
                 f"{_digits(float(np.nanmean(distance)))} ± {_digits(float(np.nanstd(distance)), 2)}",
                 _digits(float(np.nanmax(distance))),
-                _times(rms[0], value),
+                _ratio(rms[0], value),
             ]
         )
     return rows
 
 
 def _onset_row(onset: figures.Onset) -> list[str]:
-    """An onset as a row of the page's table: time, direction, q at turn and onset, width, 2 sigma, whether it is
-    used."""
+    """An onset as a row of the page's table: time, direction, q at the turn and at the onset, width, 2 sigma, and "yes"
+    if it was used, else why not."""
 
     def text(value: float, places: int) -> str:
-        """The value with so many decimals; "" for NaN."""
+        """The value with this many decimals; "" for NaN."""
         return "" if np.isnan(value) else f"{value:.{places}f}"
 
     return [
@@ -434,20 +442,22 @@ def _onset_row(onset: figures.Onset) -> list[str]:
 
 
 def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
-    """A sentence that compares the runs of `taut follow` without and with compensation; none unless both are scored."""
+    """A list of one sentence that compares the run of `taut follow` without compensation ("off") with the fully
+    compensated one ("full"); [] unless both were made and can be scored. runs: by compensation."""
     off, full = runs.get("off"), runs.get("full")
     if off is None or full is None or not np.isfinite(off.rms_deg + full.rms_deg):
         return []
     return [
         f"Followed open loop, the tip was off by {_digits(off.rms_deg, 2)} deg without compensation and by "
-        f"{_digits(full.rms_deg, 2)} deg with it: {_times(off.rms_deg, full.rms_deg)} times less."
+        f"{_digits(full.rms_deg, 2)} deg with it: {_ratio(off.rms_deg, full.rms_deg)} times less."
     ]
 
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
-    """How each model differs from the first, in sentences. rows: of `comparison`; unit: of q."""
+    """A sentence for each model but the first on how it differs from the first. rows: of `comparison`, which are the
+    models in turn; unit: of q."""
     said = []
-    fine, per_unit = figures.finer(unit)
+    fine, per_unit = figures.fine_unit(unit)
     for row in rows[1:]:
         if not np.isfinite(row["width_mean"]):
             said.append(f"{row['model']} has measured no q that {rows[0]['model']} has.")
