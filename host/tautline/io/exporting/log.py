@@ -220,7 +220,7 @@ def _rows_in_order(order: npt.NDArray[np.int64], columns: dict[str, Array]) -> d
 
 
 def _onset_series(source: Source, unit: str) -> Series | None:
-    """A series of the onsets that the first model of a source was calibrated from; None without any. Their times are on
+    """A series of the onsets that the calibration of a source's first model found; None without any. Their times are on
     their own recordings' clocks, so a source that is no model gets only those of its own recording. unit: of q."""
     model = source.models[0][1]
     listed = [onset for onset in model.extra.get("onsets", []) if onset.get("t_s") is not None]

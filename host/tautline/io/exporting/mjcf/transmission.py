@@ -92,8 +92,8 @@ class Transmission:
         where B is 1. All elements have one common distance `at` from the motor, an element with a smaller half width r
         has that."""
         common = min(max(y, x - 0.5), x + 0.5) - x
-        # Solves sum of w min(at, r) = |y - x| for `at`, from one half width r (they rise) to the next. left: the part of
-        # |y - x| that is not made up yet; rest: the weight of the elements whose r is not reached.
+        # Solves sum of w min(at, r) = |y - x| for `at`, from one half width r (they rise) to the next. left: what
+        # is not made up yet of |y - x|; rest: the weight of the elements whose r is not reached.
         sign, left, rest, reached = math.copysign(1.0, common), abs(common), 1.0, 0.0
         for r, w in zip(self.r, self.w, strict=True):
             if left <= rest * (r - reached):
