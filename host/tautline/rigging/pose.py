@@ -136,9 +136,8 @@ def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> lis
     """The poses (6,), rx ry rz in deg and x y z in mm, from which `hand_eye` starts: those from which the tip's planar
     curve looks as it was seen, up to two, by IPPE. TautError where there is none: places on a line, in one pixel, or
     fewer than the four that IPPE needs."""
-    to_plane = np.array(
-        [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
-    )  # (x, y, z) to (x, -z, y): the bending plane becomes z = 0
+    # (x, y, z) to (x, -z, y): the bending plane becomes z = 0.
+    to_plane = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     flat = tip_bend(kinematics, places.c_deg) @ to_plane.T
     middle = flat.mean(axis=0)
     if len(flat) < 4 or np.linalg.matrix_rank(flat - middle) < 2:

@@ -71,8 +71,8 @@ def cut(clip: Clip, path: Path) -> Array:
                 if packet.dts is None:
                     continue
                 at = float(packet.pts * read.time_base)
-                # Packets come in the order of decoding (dts), so one that is shown later (pts) may come before the clip's
-                # last ones: the clip ends where both times are past its end.
+                # Packets come in the order of decoding (dts), so one that is shown later (pts) may come before the
+                # clip's last ones: the clip ends where both times are past its end.
                 if float(packet.dts * read.time_base) >= clip.last_s - _ROUNDED_S and at >= clip.last_s - _ROUNDED_S:
                     break
                 base = packet.dts if base is None else base
