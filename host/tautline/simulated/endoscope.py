@@ -147,10 +147,9 @@ class Endoscope:
                 light += np.exp(-0.5 * spot)
         return cover / len(centres), light
 
-    def _draw_tube(self, picture: Array, c_deg: float, translation_mm: float, rotation_deg: float) -> None:
-        """Draws the straight shaft from behind the camera, the constant-curvature section and the rigid tip into
-        `picture`, in place; nothing where the tube is not in view."""
-        # The tube's centre line in the instrument's base, mm: shaft, arc, and the rigid tip by its middle and end.
+    def _centre_line(self, c_deg: float, translation_mm: float, rotation_deg: float) -> Array:
+        """Points (n, 3), mm in the camera's frame, along the tube's centre line: the shaft, the bending section, the
+        rigid tip. Points behind the camera or nearer than 3 mm to it are left out."""
         share = np.linspace(0.0, 1.0, 14)
         length = self._kinematics.bending_length_mm
         # Up to a share of its length the section is itself an arc, of that share of its length and of its angle.
@@ -159,8 +158,13 @@ class Endoscope:
         shaft = np.array([[0.0, 0.0, z] for z in np.linspace(-60.0, -1.0, 30)])
         base = np.vstack([shaft, arc, 0.5 * (arc[-1:] + end), end])
         base[:, 2] += translation_mm
-        point = to_camera(self._hand_eye, about_base_z(rotation_deg, base))
-        point = point[point[:, 2] > 3.0]  # mm before the camera; nearer or behind is not drawn
+        point: Array = to_camera(self._hand_eye, about_base_z(rotation_deg, base))
+        return point[point[:, 2] > 3.0]
+
+    def _draw_tube(self, picture: Array, c_deg: float, translation_mm: float, rotation_deg: float) -> None:
+        """Draws the straight shaft from behind the camera, the constant-curvature section and the rigid tip into
+        `picture`, in place; nothing where the tube is not in view."""
+        point = self._centre_line(c_deg, translation_mm, rotation_deg)
         if len(point) < 2:
             return
         line = to_image(self._camera, point)
@@ -255,7 +259,19 @@ def _tissue_picture(width: int, height: int, rng: np.random.Generator) -> Array:
     blue = 84.0 + 11.0 * pallor + 4.0 * cloud(60.0) + 2.0 * cloud(5.0)
     picture = np.dstack([blue, green, red]) * np.clip(light, 0.08, 1.0)[:, :, None]
 
-    drawn = np.zeros((height, width), np.float32)  # 1 on a vessel
+    picture = picture * (1.0 - _vessels(width, height, rng)[:, :, None] * np.array([0.30, 0.38, 0.14]))
+
+    for _ in range(22):  # wet highlights
+        at, size = rng.uniform(0, [width, height]), rng.uniform(1.0, 4.0, 2)
+        spot = np.exp(-0.5 * (((x - at[0]) / size[0]) ** 2 + ((y - at[1]) / size[1]) ** 2))
+        picture = picture + (255.0 * 1.4 * spot)[:, :, None]
+    return _to_levels(picture)
+
+
+def _vessels(width: int, height: int, rng: np.random.Generator) -> Array:
+    """Draws random blood vessels: (height, width), 1 on a vessel, 0 beside it, blurred. Each is a line whose direction
+    wanders from step to step."""
+    drawn = np.zeros((height, width), np.float32)
     for _ in range(14):
         at, heading = rng.uniform(0, [width, height]), rng.uniform(0, 2 * np.pi)
         path = [at]
@@ -265,11 +281,4 @@ def _tissue_picture(width: int, height: int, rng: np.random.Generator) -> Array:
             path.append(at)
         points = np.rint(np.array(path) * 16).astype(np.int32)  # OpenCV's fixed point: 4 bits behind the point
         cv2.polylines(drawn, [points], False, 1.0, int(rng.integers(1, 4)), lineType=cv2.LINE_AA, shift=4)
-    vessels = cv2.GaussianBlur(drawn, (0, 0), 1.3)[:, :, None]
-    picture = picture * (1.0 - vessels * np.array([0.30, 0.38, 0.14]))
-
-    for _ in range(22):  # wet highlights
-        at, size = rng.uniform(0, [width, height]), rng.uniform(1.0, 4.0, 2)
-        spot = np.exp(-0.5 * (((x - at[0]) / size[0]) ** 2 + ((y - at[1]) / size[1]) ** 2))
-        picture = picture + (255.0 * 1.4 * spot)[:, :, None]
-    return _to_levels(picture)
+    return np.asarray(cv2.GaussianBlur(drawn, (0, 0), 1.3))

@@ -57,8 +57,8 @@ class Sight:
         """For each of n frames the hinge's angle (n,), deg, at the place of the track that is nearest to the marker,
         and the marker's distance from that place (n,), px; both NaN where the marker is not valid."""
         places = np.column_stack([marker.u_px, marker.v_px])
-        # The track is a chain of straight pieces along `ahead`; the marker's projection on a piece gives the share of it
-        # at which its nearest point is.
+        # The track is a chain of straight pieces along `ahead`. The marker's projection on a piece gives the nearest
+        # point of that piece, as a share of it.
         ahead = np.diff(self.px, axis=0)
         length2 = np.maximum(np.sum(ahead**2, axis=1), 1e-12)
         unseen = np.diff(self.c_deg) > 1.5 * _STEP_DEG  # the track leaves the image there, and comes back elsewhere

@@ -350,17 +350,12 @@ def _check_units(
         raise TautError(f"{chosen.motor.name}: does not move: name another --motor")
     if (span := _span(motor.q)) <= 0.0:
         return  # it rests nearly always: no ratio tells anything
-    # Beside the motor: option, channel, its values and their unit, the span that they should have, how far off that is.
-    pairs: list[tuple[str, Named, Array, str, float, float]] = []
-    if motor.q_cmd is not None and chosen.command is not None:
-        pairs.append(("--command", chosen.command, motor.q_cmd, target, span, _SURE))
-    if angle is not None and rig is not None:
-        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span * abs(rig.coarse.gain), _BY_RIG))
-    elif angle is not None and target == "deg":
-        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span, _ANY_GAIN))
-    for option, partner, values, unit_of_values, expected, off in pairs:
+    for option, partner, values, unit_of_values, expected, off in _motions_beside_motor(
+        chosen, motor, angle, target, rig, span
+    ):
         if (seen := _span(values)) <= 0.0:
             continue
+        # Either of the two channels may be the one whose unit is wrong.
         for role, wrong, raw, ratio, base in (
             (option, partner, values, expected / seen, unit_of_values),
             ("--motor", chosen.motor, motor.q, seen / expected, target),
@@ -376,6 +371,22 @@ def _check_units(
                 f"{says}, as {SPOKEN[unit]} do: write {role} '{wrong.name}:{unit}', or '{wrong.name}:{base}' "
                 "if that is its unit"
             )
+
+
+def _motions_beside_motor(
+    chosen: _ChosenChannels, motor: Motor, angle: Angle | None, target: str, rig: Rig | None, span: float
+) -> list[tuple[str, Named, Array, str, float, float]]:
+    """The motions whose span tells of units beside the motor's: the command's, and the tip's where a gain is known or
+    both are in deg. Each is (option, channel, its values (n,), their unit, the span that they should have in that unit,
+    the share by which the ratio may be off). target: unit of q; span: of the motor, in that unit."""
+    pairs: list[tuple[str, Named, Array, str, float, float]] = []
+    if motor.q_cmd is not None and chosen.command is not None:
+        pairs.append(("--command", chosen.command, motor.q_cmd, target, span, _SURE))
+    if angle is not None and rig is not None:
+        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span * abs(rig.coarse.gain), _BY_RIG))
+    elif angle is not None and target == "deg":
+        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span, _ANY_GAIN))
+    return pairs
 
 
 def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) -> None:

@@ -190,7 +190,6 @@ def _motor_and_tip(
     names = compared.names
     best: tuple[int, int, float] | None = None
     has_command, has_follower = _likely_chains(listing, compared)
-    widest = float(compared.span.max()) if len(names) else 1.0
     for m, of_motor in enumerate(names):
         if motor is not None and of_motor != motor.name:
             continue
@@ -198,20 +197,29 @@ def _motor_and_tip(
             together = compared.correlation[m, t]
             if m == t or together < _MOVES or (tip and of_tip != tip[0].name):
                 continue
-            lag = compared.lag_s[m, t]
-            score = together - 0.5 * abs(lag) / _LAG_S
-            score += _LATE * (np.sign(lag) if abs(lag) > _SIMULTANEOUS_S else 0.0)
-            score += _HINT * (_name_suggests("motor", of_motor) - _name_suggests("motor", of_tip))
-            score += _HINT * (_name_suggests("tip", of_tip) - _name_suggests("tip", of_motor))
-            score -= _HINT * (2 * _name_suggests("command", of_tip) + _name_suggests("command", of_motor))
-            score -= _AGAINST * (_is_no_position(of_motor, listing) + _is_no_position(of_tip, listing))
-            score += _SPAN * compared.span[m] / widest
-            score += _CHAIN * (float(has_command[m]) - float(has_follower[t]))
-            if listing.channels[of_motor].fact.type == QUATERNION_TYPE:
-                score -= _AGAINST  # an orientation is a tip's
+            score = _pair_score(listing, compared, m, t, float(has_command[m]) - float(has_follower[t]))
             if best is None or score > best[2]:
-                best = (m, t, float(score))
+                best = (m, t, score)
     return best and best[:2]
+
+
+def _pair_score(listing: Listing, compared: _Comparison, m: int, t: int, chain: float) -> float:
+    """How likely channel m is the motor and channel t the tip (indices in `compared`), larger where likelier: the
+    correlation of their changes, less for a lag, more for a tip that is later, with hints by names, units and m's span.
+    chain: 1 where m follows a likely command, less 1 where another channel follows t (see `_likely_chains`)."""
+    of_motor, of_tip = compared.names[m], compared.names[t]
+    lag = compared.lag_s[m, t]
+    score = compared.correlation[m, t] - 0.5 * abs(lag) / _LAG_S
+    score += _LATE * (np.sign(lag) if abs(lag) > _SIMULTANEOUS_S else 0.0)
+    score += _HINT * (_name_suggests("motor", of_motor) - _name_suggests("motor", of_tip))
+    score += _HINT * (_name_suggests("tip", of_tip) - _name_suggests("tip", of_motor))
+    score -= _HINT * (2 * _name_suggests("command", of_tip) + _name_suggests("command", of_motor))
+    score -= _AGAINST * (_is_no_position(of_motor, listing) + _is_no_position(of_tip, listing))
+    score += _SPAN * compared.span[m] / float(compared.span.max())
+    score += _CHAIN * chain
+    if listing.channels[of_motor].fact.type == QUATERNION_TYPE:
+        score -= _AGAINST  # an orientation is a tip's
+    return float(score)
 
 
 def _likely_chains(listing: Listing, compared: _Comparison) -> tuple[Array, Array]:
