@@ -120,7 +120,7 @@ def _covariance(jacobian: Array) -> Array:
 
 
 def _hand_eye_of_pose(pose: Array) -> HandEye:
-    """The hand-eye transform of a pose (6,): rx ry rz, deg, x y z, mm."""
+    """The hand-eye transform of a pose (6,): rx, ry, rz in deg, then x, y, z in mm."""
     rx, ry, rz, x, y, z = pose.tolist()
     return HandEye((rx, ry, rz), (x, y, z))
 

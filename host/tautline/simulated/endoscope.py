@@ -41,7 +41,8 @@ class Endoscope:
     def __init__(self, rig: Rig, look: Look | None = None, background: Array | None = None, seed: int = 0) -> None:
         """background: a BGR picture (rows, columns, 3) uint8 of any size, scaled to cover the frame; without one a
         tissue-like picture is drawn. seed: of that picture and of the sensor's noise. look: None takes Look's own
-        values. TautError where the rig lacks the kinematics, camera or hand-eye transform."""
+        values. TautError where the rig lacks the kinematics, camera or hand-eye transform, or the background is no such
+        picture."""
         if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
             raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to draw what its camera sees")
         self.rig, self.look = rig, look or Look()

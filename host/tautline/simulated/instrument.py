@@ -256,7 +256,7 @@ def _reference(rig: Rig, seed: int) -> Instrument:
     return _Scale(rig).instrument(
         "reference",
         lambda x: 0.07 + 0.01 * x + 0.09 * _bump(x, 0.06, 0.17),
-        lambda x: 0.85 * (x - 0.7 * _bump_integral(x, 0.0, 0.12)),
+        lambda x: 0.85 * (x - 0.7 * _bump_integral(x, 0.0, 0.12)),  # slope 0.85 (1 - 0.7 bump)
     )
 
 

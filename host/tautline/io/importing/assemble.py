@@ -69,6 +69,7 @@ def assemble(
     times = {group: (each.log_s, each.stamp_s) for group, each in rows.items()}
     if frames is not None and roles.video is not None and "" not in rows:  # a table's clip is on the table's times
         times[roles.video] = (frames[0], frames[1])
+    # All parts go on one clock, and their times are counted from the first of them if they are an epoch's.
     clock = clocks.choose(times)
     warnings = list(clock.warnings)
     origin_s = origin_of(clocks.first_s(times, clock.used))
@@ -453,8 +454,8 @@ def _span(values: Array) -> float:
 
 
 def _reserved_columns(unit: str) -> set[str]:
-    """The names of motor.csv's columns that a joint must not take, as a column of the motor would be lost.
-    translation_mm and rotation_deg are left for joints, as they are motions of the instrument. unit: of q."""
+    """The names of motor.csv's columns that a joint's column must not have, as it would replace the motor's own.
+    translation_mm and rotation_deg are not among them: a joint may be that motion of the instrument. unit: of q."""
     return set(MOTOR.names(unit)) - {"translation_mm", "rotation_deg"}
 
 

@@ -125,7 +125,7 @@ class Delimited:
         return (self._numbers(column) - self._origin) * TIMES[self._unit]
 
     def _first_moment(self, column: pd.Series) -> int:
-        """A column's first date, ns since 1970. TautError where one of the first few cells is none."""
+        """The first date in a column, ns since 1970. TautError where one of its first few filled cells is no date."""
         head = column.dropna().head()
         moments = self._moments(head)
         if moments.min() == np.iinfo(np.int64).min:

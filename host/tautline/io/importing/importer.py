@@ -46,8 +46,8 @@ class Imported:
 
 
 def open_source(path: str | Path, time: str = "") -> Source:
-    """Opens the file or folder at a path as what it is by its content: an MCAP file, a ROS bag, a LeRobot data set, or
-    else a CSV. time: a CSV's column of times, "" finds it. TautError where it is none of these, or `time` is given for
+    """Opens the file or folder at a path by its content: an MCAP file, a ROS bag, a LeRobot data set, or else a CSV.
+    time: the name of a CSV's column of times, "" finds it. TautError where it is none of these, or `time` is given for
     another kind."""
     path = Path(path)
     source = _recognised_source(path)
@@ -59,8 +59,8 @@ def open_source(path: str | Path, time: str = "") -> Source:
 
 
 def _recognised_source(path: Path) -> Source | None:
-    """Opens a file or folder whose kind is recognised by its files or first bytes; None for what may be a CSV.
-    TautError, with the remedy, for what is none of them or only a part of one."""
+    """Opens a file or folder whose kind is recognised by its files or its first bytes; None for a file that may be a
+    CSV. TautError, with the remedy, where it is missing, of an unknown kind, or only a part of a bag or a data set."""
     if not path.exists():
         raise TautError(f"{path}: there is no such file or folder")
     if path.is_dir():

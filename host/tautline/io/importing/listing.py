@@ -89,7 +89,7 @@ class _Group:
                 self.high[name] = max(self.high.get(name, -np.inf), float(finite.max()))
             else:
                 self.count.setdefault(name, 0)
-        chosen = np.arange(-self.rows % self.stride, n, self.stride)
+        chosen = np.arange(-self.rows % self.stride, n, self.stride)  # goes on where the batch before ended
         stamps = np.full(n, np.nan) if batch.stamp_s is None else batch.stamp_s
         self._keep(batch.log_s[chosen], stamps[chosen], {name: v[chosen] for name, v in batch.values.items()})
         self.rows += n

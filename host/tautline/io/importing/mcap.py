@@ -89,8 +89,8 @@ class Mcap:
                 self.notes.append(note)
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
-        """Yields the pictures of the image topic `video`. TautError where it is no image topic, or a picture has an
-        unknown encoding. episode: unused."""
+        """Yields the pictures of the image topic `video`; none where it has no messages. TautError where it is no image
+        topic, or a picture has an unknown encoding. episode: unused."""
         for schema, _, message, decode in self._messages([video]):
             if schema is None or not is_picture(schema.name):
                 raise no_video_error(self.path, video, self.videos)

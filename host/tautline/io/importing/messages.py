@@ -129,8 +129,8 @@ class BatchBuilder:
 
     def add(self, group: str, log_s: float, stamp_s: float, values: dict[str, float]) -> Batch | None:
         """Keeps a row: a message's numbers by channel. group: its topic; log_s, stamp_s: as in Batch, NaN without a
-        stamp. Returns a batch (and no longer keeps its rows) where that has BATCH_ROWS rows now, or, where _MOST_HELD
-        rows are kept in all, the longest one; else None."""
+        stamp. Returns the row's batch once that has BATCH_ROWS rows, or the longest batch once _MOST_HELD rows are kept
+        in all, and no longer keeps its rows; else None."""
         key = (group, frozenset(values))
         rows = self._rows.setdefault(key, [])
         rows.append((log_s, stamp_s, values))

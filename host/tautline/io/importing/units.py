@@ -102,7 +102,7 @@ def parse_channel(text: str, names: Iterable[str]) -> Named:
 
 
 def recorded_unit(unit: str) -> str:
-    """The unit that a recording has in place of this one: deg, mm or mNm; "" for a unit that is not in UNITS."""
+    """The unit to which a recording converts this one: deg, mm or mNm; "" for a unit that is not in UNITS."""
     return next((target for target, units in UNITS.items() if unit in units), "")
 
 

@@ -47,7 +47,7 @@ class Chain:
 def fit(x: Array, y: Array, enough: float) -> Chain:
     """Fits a chain of polynomials to a curve, x (n,) rising and y (n,): the shortest one of at most MOST_LINKS whose
     rms error is at most `enough`, in the unit of y, or else the best one. Deterministic; takes 0.1 to 5 s."""
-    u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])
+    u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])  # x scaled to [-1, 1], and `scale` as (constant, slope)
     scale = np.array([-(x[0] + x[-1]), 2.0]) / (x[-1] - x[0])
     best, free = _chain_with_best_last_link([], u, y, scale), np.zeros(0)
     for _ in range(2, MOST_LINKS + 1):

@@ -89,8 +89,8 @@ class Transmission:
 
     def _element_positions(self, x: float, y: float) -> Any:
         """Positions (elements,) of the elements, with the weighted mean y, for a motor at x; all on the warped axis,
-        where B is 1. All elements have one common distance `at` from the motor, an element with a smaller half width r
-        has that."""
+        where B is 1. Each element lies at the same distance `at` from the motor, or at its half width r if that is
+        smaller."""
         common = min(max(y, x - 0.5), x + 0.5) - x
         # Solves sum of w min(at, r) = |y - x| for `at`, from one half width r (they rise) to the next. left: what
         # is not made up yet of |y - x|; rest: the weight of the elements whose r is not reached.
@@ -175,8 +175,9 @@ class Control:
         self.time = -math.inf
 
     def __call__(self, model: Any, data: Any) -> None:
-        """Moves the transmission on by a step, to where the actuator's control has the motor, and sets the speed with
-        which the led joint, and so the tip, gets there within the step. A second call in a step does nothing."""
+        """Moves the transmission on by a step, to the motor position that the actuator's control commands, and sets the
+        speed with which the led joint, and so the tip, gets to the resulting angle within the step. A second call in
+        the same step does nothing."""
         if data.time == self.time:  # a stage of the same step
             return
         self.time = float(data.time)
