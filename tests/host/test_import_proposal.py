@@ -18,7 +18,16 @@ from hypothesis import strategies as st
 import tautline as tl
 from tautline.errors import TautError
 from tautline.io.importing import clocks
-from tautline.io.importing.units import DEG_PER_RAD, UNITS, Named, factor, known_unit, named, suspected, unit_in
+from tautline.io.importing.units import (
+    DEG_PER_RAD,
+    UNITS,
+    Named,
+    factor,
+    known_unit,
+    parse_channel,
+    suspected_unit,
+    unit_in,
+)
 
 RATE_HZ, WIDTH, LAG_S, SERVO_S = 100.0, 2.0, 0.06, 0.04
 
@@ -268,7 +277,7 @@ def test_a_unit_takes_a_number_to_the_recordings(unit: tuple[str, str], value: f
     name, target = unit
     si = {"deg": np.pi / 180, "rad": 1, "mrad": 1e-3, "turn": 2 * np.pi, "tick": 2 * np.pi / 4096, "mm": 1e-3, "m": 1,
           "cm": 1e-2, "um": 1e-6, "in": 0.0254, "mNm": 1e-3, "Nm": 1, "Ncm": 1e-2}  # fmt: skip
-    told, taken = factor(named(f"q:{name}", ["q"]), "", target)
+    told, taken = factor(parse_channel(f"q:{name}", ["q"]), "", target)
     assert taken == name and told * value * si[target] == pytest.approx(value * si[name])
     assert factor(Named("q"), name, target)[0] == told
     assert unit_in(f"q [{name}]") == unit_in(f"q ({name})") == known_unit(name) == name
@@ -287,12 +296,12 @@ def test_units_in_names(name: str, unit: str) -> None:
 def test_a_ratio_gives_a_unit_away(near: float, unit: tuple[str, str]) -> None:
     values = np.linspace(-0.5, 0.5, 50)
     ratio = UNITS[unit[0]][unit[1]] * near
-    assert suspected(ratio, values, unit[0], 0.1) == unit[1]
-    assert suspected(1.0, values, unit[0], 0.1) == "" == suspected(3.0 * ratio, values, unit[0], 0.1)
+    assert suspected_unit(ratio, values, unit[0], 0.1) == unit[1]
+    assert suspected_unit(1.0, values, unit[0], 0.1) == "" == suspected_unit(3.0 * ratio, values, unit[0], 0.1)
     if unit[1] == "rad":
-        assert suspected(ratio, 100.0 * values, unit[0], 0.1) == ""  # no joint turns 50 rad
-    assert suspected(360.0 / 4096, np.arange(2048.0), "deg", 0.1) == "tick"
-    assert suspected(360.0 / 4096, np.arange(2048.0) / 3.0, "deg", 0.1) == ""
+        assert suspected_unit(ratio, 100.0 * values, unit[0], 0.1) == ""  # no joint turns 50 rad
+    assert suspected_unit(360.0 / 4096, np.arange(2048.0), "deg", 0.1) == "tick"
+    assert suspected_unit(360.0 / 4096, np.arange(2048.0) / 3.0, "deg", 0.1) == ""
 
 
 @given(st.lists(st.integers(0, 400), min_size=50, max_size=60, unique=True), st.integers(0, 48))
@@ -302,7 +311,7 @@ def test_tidied_times_rise_and_hold_every_row(ticks: list[int], swapped: int) ->
     mixed = t_s.copy()
     mixed[[swapped, swapped + 1]] = mixed[[swapped + 1, swapped]]
     warnings: list[str] = []
-    kept = clocks.tidy(mixed, "topic", warnings)
+    kept = clocks.rows_in_time_order(mixed, "topic", warnings)
     np.testing.assert_array_equal(mixed[kept], t_s)
     assert any("out of order" in each for each in warnings)
 
@@ -310,7 +319,7 @@ def test_tidied_times_rise_and_hold_every_row(ticks: list[int], swapped: int) ->
 def test_a_gap_and_a_jump_back() -> None:
     t_s = np.arange(0.0, 10.0, 0.01)
     warnings: list[str] = []
-    clocks.tidy(np.delete(t_s, np.arange(300, 500)), "topic", warnings)
+    clocks.rows_in_time_order(np.delete(t_s, np.arange(300, 500)), "topic", warnings)
     assert warnings == ["topic: 1 gap without rows, the longest 2.01 s at 2.99 s"]
     with pytest.raises(TautError, match=r"goes back by 5\.01 s at 9\.99 s"):
-        clocks.tidy(np.concatenate([t_s, t_s[500:] - 0.02]), "topic", [])
+        clocks.rows_in_time_order(np.concatenate([t_s, t_s[500:] - 0.02]), "topic", [])

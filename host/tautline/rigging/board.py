@@ -35,7 +35,7 @@ class Board:
     dictionary: str = "4X4_50"  # of the markers, a key of DICTIONARIES
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """The board as OpenCV's object. TautError where no board can have these numbers."""
+        """The board as OpenCV's object. TautError where no board of these numbers is possible."""
         if not 0.0 < self.marker_mm < self.square_mm:
             raise TautError(
                 f"a marker of {self.marker_mm:g} mm does not lie within a square of {self.square_mm:g} mm: measure both"
@@ -62,7 +62,7 @@ class Intrinsics:
     of: int  # pictures in all
 
     def camera(self) -> dict[str, Any]:
-        """The keys of rig.toml's [camera] that these give."""
+        """The keys of rig.toml's [camera] that these intrinsics give, with their values."""
         width, height = self.size
         fx, fy, cx, cy, *distortion = self.values.tolist()
         keys = {"width_px": width, "height_px": height, "fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy}
@@ -80,7 +80,8 @@ class Intrinsics:
 
     @property
     def doubts(self) -> list[str]:
-        """Sentences on what speaks against these intrinsics."""
+        """Sentences that say what speaks against these intrinsics: a focal length that is not known to _FOCAL_SHARE. []
+        without doubts."""
         share = float(self.sigma[0] / self.values[0])
         if share <= _FOCAL_SHARE:
             return []
@@ -88,9 +89,10 @@ class Intrinsics:
 
 
 def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Progress | None = None) -> Intrinsics:
-    """A camera's intrinsics from pictures of a board, one or more, BGR or grey, all of one size. The coefficient k3 is
-    fitted only if the Bayesian information criterion asks for it, as over a moderate view it is hardly told from k1 and
-    k2. progress: gets the share done, 0 to 1, and a word. TautError where too few pictures show the board."""
+    """Calibrates a camera from pictures of a board: BGR or grey, all of one size, at least _LEAST_VIEWS of which show
+    the board. The coefficient k3 is fitted only if the Bayesian information criterion asks for it, as over a moderate
+    view it can hardly be told from k1 and k2. progress: gets the share done, 0 to 1, and a word. TautError where too
+    few pictures show the board, or sizes differ."""
     size = (pictures[0].shape[1], pictures[0].shape[0])
     objects, images = _corners_of(pictures, size, board, progress)
     if len(objects) < _LEAST_VIEWS:
@@ -99,7 +101,7 @@ def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Pro
             f"squares of {board.dictionary}, {_LEAST_VIEWS} are needed: are --squares and --dictionary the print's, "
             "and is it sharp?"
         )
-    count = 2 * sum(len(points) for points in objects)  # of coordinates that were measured
+    count = 2 * sum(len(points) for points in objects)  # of measured coordinates
     without_k3, with_k3 = (_calibrate_camera(objects, images, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
     # equation: n log(rms^2) falls by more than one parameter costs, log n
     k3_asked_for = 2.0 * count * np.log(without_k3[0] / with_k3[0]) > np.log(count)
@@ -110,9 +112,9 @@ def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Pro
 def _corners_of(
     pictures: Sequence[npt.NDArray[Any]], size: tuple[int, int], board: Board, progress: Progress | None
 ) -> tuple[list[Any], list[Any]]:
-    """The board's corners in each picture that shows at least _LEAST_CORNERS of them, not all on a line: their places
-    on the board (n, 1, 3), mm, and in the image (n, 1, 2), px. TautError where a picture has another size than `size`
-    (width, height)."""
+    """The board's corners in each picture that shows at least _LEAST_CORNERS of them, not all on one line; other
+    pictures are left out. Returns lists, one item a picture: corners on the board (n, 1, 3), mm, and in the image (n,
+    1, 2), px. TautError where a picture has another size than `size` (width, height)."""
     opencv = board.opencv()
     detector = cv2.aruco.CharucoDetector(opencv)
     objects, images = [], []
@@ -135,8 +137,8 @@ def _corners_of(
 
 
 def _calibrate_camera(objects: Any, images: Any, size: tuple[int, int], flags: int) -> tuple[float, Array, Array]:
-    """OpenCV's camera calibration from corners as `_corners_of` gives them, with these flags (cv2.CALIB_...): rms of
-    the corners, px, values (9,) as in Intrinsics, and their standard deviations (9,)."""
+    """Calibrates with OpenCV from corners as `_corners_of` gives them. flags: of cv2.CALIB_... Returns the rms of what
+    is left of the corners, px, the values (9,) as in Intrinsics, and their standard deviations (9,)."""
     rms, matrix, distortion, _, _, sigma, _, _ = cv2.calibrateCameraExtended(
         objects, images, size, np.eye(3), np.zeros(5), flags=flags
     )

@@ -18,8 +18,9 @@ _OF: Mapping[Sensor, tuple[str, ...]] = {
 
 
 def put(document: Document, section: Section, key: Key, text: str) -> None:
-    """Sets a key of a rig.toml's document from text as somebody types it: TOML, a word without quotes, or numbers with
-    commas. TautError where it is not what the key expects."""
+    """Sets a key of a rig.toml's document, in place, from text as somebody types it: TOML, a word without quotes, or
+    numbers with commas. The section is added where it is missing. TautError where the text is not what the key
+    expects."""
     bare = text.strip()
     if key.kind == "text" and not bare.startswith(('"', "'")):
         bare = f'"{bare}"'
@@ -30,12 +31,12 @@ def put(document: Document, section: Section, key: Key, text: str) -> None:
         value = tomllib.loads(f"value = {bare}")["value"]
     except ValueError as error:  # no TOML, or a number of too many digits
         raise TautError(f"{name} is {text!r}, expected {key.expected}, as in {example(key)}") from error
-    read = key.read(value, name, where="as given")  # what an error names in place of a file
+    read = key.read(value, name, where="as given")  # where: what an error names instead of a file
     document.setdefault(section.name, {})[key.name] = _as_toml_value(read)
 
 
 def find_key(name: str) -> tuple[Section, Key]:
-    """The section and key that a name SECTION.KEY means. TautError where rig.toml has no such key."""
+    """The section and key that the name SECTION.KEY means. TautError where rig.toml has no such key."""
     section = SECTIONS.get(name.partition(".")[0])
     key = next((k for k in section.keys if k.name == name.partition(".")[2]), None) if section else None
     if section is None or key is None:
@@ -44,7 +45,8 @@ def find_key(name: str) -> tuple[Section, Key]:
 
 
 def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Section, Key]]:
-    """The required keys that the document of a rig with this sensor lacks, in the order of the file."""
+    """Yields the required keys, with their sections, that a rig.toml's document lacks for this sensor, in the order of
+    the file."""
     for name in _OF[sensor]:
         for key in SECTIONS[name].keys:
             if key.needed and key.name not in document.get(name, {}):
@@ -52,7 +54,7 @@ def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Secti
 
 
 def example(key: Key) -> str:
-    """A key's example as somebody would type it (see `put`)."""
+    """A key's example as text, as somebody would type it for `put`."""
     return ", ".join(f"{v:g}" for v in key.example) if isinstance(key.example, list) else str(key.example)
 
 

@@ -14,11 +14,12 @@ from tautline.rigging.places import Places
 
 @mpl.rc_context(figures.STYLE)
 def picture(rig: Rig, places: Places) -> Figure:
-    """Draws the camera's image plane: the marker's places with their angles, and the curve on which the rig predicts
-    them, so that a wrong rig is seen. The rig has a camera."""
+    """Draws the camera's image plane: where the marker was seen at each known angle, and the curve on which the rig
+    predicts it, so that a wrong rig is seen. The rig has a camera."""
     assert rig.camera is not None
     low, high = places.image_px.min(axis=0), places.image_px.max(axis=0)
-    half = 0.6 * float(np.max(high - low)) * np.array([1.0, 0.5]) + 10.0  # px, of the part that is shown
+    # px: half the width and height of what is shown
+    half = 0.6 * float(np.max(high - low)) * np.array([1.0, 0.5]) + 10.0
     (left, top), (right, bottom) = (low + high) / 2 - half, (low + high) / 2 + half
     made, axes = figures.figure(7.0, 4.4)
     ax = axes[0, 0]

@@ -34,15 +34,16 @@ class Places:
 
 def read_known_angles(file: Path) -> Angle:
     """Reads a CSV of known angles. Its column t_s is when a rest of at least STANDS_S began, s on the recording's
-    clock, each row later than the one before; c_deg is the tip's angle during that rest, deg. TautError where the file
-    is no such table. A last line that was cut is not left out, as it is of a log: it counts, or is an error."""
+    clock, rising from row to row; c_deg is the tip's angle during that rest, deg. TautError where the file is no such
+    table. Its last line is read as it is, also one that was cut off: unlike a log's, it is not left out."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header(), mend=False)
     return Angle(columns.rising_times(), columns.finite("c_deg"))
 
 
 def places_of(recording: Recording, known: Angle) -> Places:
-    """Means of marker and motor position over each rest in `known`, of frames from SETTLES_S after its time on.
-    TautError where there is no marker, there are too few rests, the motor moved, or the marker was not seen."""
+    """Averages marker and motor positions over each rest in `known`: the motor over STANDS_S from the rest's time on,
+    the marker over that span less its first SETTLES_S. TautError where there is no marker, there are fewer than
+    _LEAST_PLACES rests, or in a rest the motor moves, has no log, or the marker is hardly seen."""
     marker, motor = recording.marker, recording.motor
     if marker is None:
         raise TautError(f"{recording.name}: holds no marker: record a video of the motion, or a marker.csv")
@@ -62,14 +63,15 @@ def places_of(recording: Recording, known: Angle) -> Places:
             raise TautError(f"{what} shows the marker in {seen.sum()} frames: it has to be in the picture there")
         uv = np.column_stack([marker.u_px[seen], marker.v_px[seen]])
         image.append(uv.mean(axis=0))
+        # Standard deviation of the mean, from the variance of u and v together.
         sigma.append(float(np.sqrt(uv.var(axis=0, ddof=1).mean() / seen.sum())))
         q.append(float(motor.q[resting].mean()))
     return Places(known.c_deg, np.array(image), np.array(sigma), np.array(q))
 
 
 def fit_coarse_law(places: Places) -> tuple[Coarse, float]:
-    """The coarse law c = gain q + offset by least squares over the places, and the rms of its residual, deg, to which
-    play and curvature add. TautError where the motor stood at one place."""
+    """Fits the coarse law c = gain q + offset (deg, unit of q) to the places by least squares. Returns it and the rms
+    of its residual, deg, which play and curvature add to. TautError where the motor stood at one place."""
     if np.ptp(places.q) <= 0.0:
         raise TautError("the motor stood at one place for all known angles: is the log that of the motion?")
     gain, offset = np.polyfit(places.q, places.c_deg, 1)

@@ -48,7 +48,8 @@ class HandEyeFit:
 
     @property
     def doubts(self) -> list[str]:
-        """Sentences on what speaks against this hand-eye transform."""
+        """Sentences that say what speaks against this hand-eye transform: another pose that fits as well, or places
+        farther off than stated. [] without doubts."""
         found = []
         if self.rival < _RIVAL:
             found.append(
@@ -63,22 +64,22 @@ class HandEyeFit:
 
 
 def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma_deg: float) -> HandEyeFit:
-    """Fits where the camera is to the marker's places at known angles: nonlinear least squares over the pose (6,) and
-    the true angles (n,), whose stated sigma is `angle_sigma_deg`, from both poses that a planar curve allows
-    (cv2.SOLVEPNP_IPPE). If more is left than the stated sigmas explain, the result's sigmas grow. TautError where the
-    places do not determine a pose."""
+    """Fits the hand-eye transform to the marker's places at known angles: nonlinear least squares over the pose (6,)
+    and the true angles (n,), which have the stated sigma `angle_sigma_deg`. It starts from both poses that a planar
+    curve allows (cv2.SOLVEPNP_IPPE) and keeps the better result. If more is left than the stated sigmas explain, the
+    result's sigmas grow with it. TautError where the places do not determine a pose."""
     sigma_px = np.hypot(places.sigma_px, PLACED_PX)  # no mean goes below what a place is off by
     sigma_c = max(angle_sigma_deg, _LEAST_DEG)
 
-    def seen(pose: Array, c_deg: Array) -> tuple[Array, Array]:
-        """Image positions (n, 2) px at angles c (n,) deg with this pose (6,), and their slopes (n, 2) px per deg."""
+    def image_and_slope(pose: Array, c_deg: Array) -> tuple[Array, Array]:
+        """Image positions (n, 2), px, at angles c_deg (n,) with this pose (6,), and their slopes (n, 2), px per deg."""
         return project_with_slope(_rig_with_pose(kinematics, camera, pose), c_deg)
 
     def residuals(x: Array) -> Array:
-        """What is left over sigma, (3 n,): of the image positions, 1e6 where the tip is behind the camera, then of the
-        angles. x (6 + n,): pose, true angles."""
-        off = (seen(x[:6], x[6:])[0] - places.image_px) / sigma_px[:, None]
-        return np.concatenate([np.nan_to_num(off, nan=1e6).ravel(), (x[6:] - places.c_deg) / sigma_c])
+        """Residuals over their sigmas, (3 n,): of the image positions, u and v in turn, 1e6 where the tip is behind the
+        camera; then of the angles. x (6 + n,): pose, then true angles, deg."""
+        left = (image_and_slope(x[:6], x[6:])[0] - places.image_px) / sigma_px[:, None]
+        return np.concatenate([np.nan_to_num(left, nan=1e6).ravel(), (x[6:] - places.c_deg) / sigma_c])
 
     fits = [
         least_squares(residuals, np.concatenate([start, places.c_deg]), x_scale="jac", method="lm")
@@ -87,58 +88,60 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
     fits.sort(key=lambda fit: float(fit.cost))
     best = fits[0]
     if not np.isfinite(best.cost):
-        raise _undetermined()
+        raise _undetermined_error()
     freedom = 2 * len(places.c_deg) - 6  # 3 n residuals less 6 + n unknowns
     strays = float(np.sqrt(2.0 * best.cost / freedom))
-    spread = max(strays, 1.0) ** 2  # by which all variances grow
+    spread = max(strays, 1.0) ** 2  # factor by which all variances grow
     covariance = _covariance(np.asarray(best.jac, dtype=float))[:6, :6] * spread
     pose = best.x[:6]
     off = residuals(best.x)[: 2 * len(sigma_px)].reshape(-1, 2) * sigma_px[:, None]
+    # Fits from other starts that did not end at the same pose.
     others = [fit for fit in fits[1:] if np.abs(fit.x[:6] - pose).max() > 1e-3 * np.abs(pose).max()]
     return HandEyeFit(
-        hand_eye=_hand_eye(pose),
+        hand_eye=_hand_eye_of_pose(pose),
         sigma=np.sqrt(np.diag(covariance)),
         left_px=float(np.sqrt(np.mean(off**2))),
         strays=strays,
-        measures_deg=_angle_sigma(seen, pose, covariance, places.c_deg),
+        measures_deg=_angle_sigma(image_and_slope, pose, covariance, places.c_deg),
         angle_sigma_deg=angle_sigma_deg,
         rival=min((2.0 * float(fit.cost - best.cost) / spread for fit in others), default=np.inf),
     )
 
 
 def _covariance(jacobian: Array) -> Array:
-    """The covariance (k, k) of k parameters by a fit's Jacobian (n, k) of residuals over their sigmas. TautError where
-    the parameters are not determined."""
+    """The covariance (k, k) of k parameters: the inverse of J'J, J (n, k) being the Jacobian of a fit's residuals over
+    their sigmas. TautError where J'J, scaled to a unit diagonal, is singular."""
     information: Array = jacobian.T @ jacobian
     scale = np.sqrt(np.diag(information))
     if not (scale > 0.0).all() or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
-        raise _undetermined()
+        raise _undetermined_error()
     covariance: Array = np.linalg.inv(information).astype(np.float64)
     return covariance
 
 
-def _hand_eye(pose: Array) -> HandEye:
-    """The hand-eye transform of a pose (6,): rx ry rz, deg, x y z, mm."""
+def _hand_eye_of_pose(pose: Array) -> HandEye:
+    """The hand-eye transform of a pose (6,): rx, ry, rz in deg, then x, y, z in mm."""
     rx, ry, rz, x, y, z = pose.tolist()
     return HandEye((rx, ry, rz), (x, y, z))
 
 
 def _rig_with_pose(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
-    """A rig for `project` with this hand-eye pose (6,), deg and mm; actuator and coarse law are placeholders that
-    projection does not use."""
+    """A rig for `project` with this hand-eye pose (6,), rx ry rz in deg and x y z in mm; its actuator and coarse law
+    are placeholders that projection does not use."""
     unused = Actuator("mm", (-1.0, 1.0), 1.0), Coarse(1.0, 0.0)
-    return Rig(*unused, kinematics, camera, _hand_eye(pose))
+    return Rig(*unused, kinematics, camera, _hand_eye_of_pose(pose))
 
 
 def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:
-    """The poses (6,), rx ry rz, deg, x y z, mm, from which the image of the tip's planar curve looks as seen (IPPE
-    finds up to two), as starts of `hand_eye`. TautError where there is none: places on a line, in one pixel, or fewer
-    than the four that IPPE takes."""
-    turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # the bending plane becomes z = 0
-    flat = tip_bend(kinematics, places.c_deg) @ turned.T
+    """The poses (6,), rx ry rz in deg and x y z in mm, from which `hand_eye` starts: those from which the tip's planar
+    curve looks as it was seen, up to two, by IPPE. TautError where there is none: places on a line, in one pixel, or
+    fewer than the four that IPPE needs."""
+    # (x, y, z) to (x, -z, y): the bending plane becomes z = 0.
+    to_plane = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    flat = tip_bend(kinematics, places.c_deg) @ to_plane.T
     middle = flat.mean(axis=0)
     if len(flat) < 4 or np.linalg.matrix_rank(flat - middle) < 2:
-        raise _undetermined()
+        raise _undetermined_error()
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         flat - middle, places.image_px, camera.matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
     )
@@ -147,30 +150,31 @@ def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> lis
         if not (np.isfinite(turn).all() and np.isfinite(shift).all()):
             continue
         matrix = cv2.Rodrigues(turn)[0]
-        angles = Rotation.from_matrix(matrix @ turned).as_euler("xyz", degrees=True)  # Rz Ry Rx, as in rig.toml
+        angles = Rotation.from_matrix(matrix @ to_plane).as_euler("xyz", degrees=True)  # Rz Ry Rx, as in rig.toml
+        # IPPE took the points less their middle: a point is at matrix (flat - middle) + shift.
         starts.append(np.concatenate([angles, shift.ravel() - matrix @ middle]))
     if not starts:
-        raise _undetermined()
+        raise _undetermined_error()
     return starts
 
 
-def _undetermined() -> TautError:
+def _undetermined_error() -> TautError:
     """The error to raise where the places determine no pose."""
     return TautError("these angles do not tell where the camera is: spread 8 or more over the range")
 
 
 def _angle_sigma(
-    seen: Callable[[Array, Array], tuple[Array, Array]], pose: Array, covariance: Array, c_deg: Array
+    image_and_slope: Callable[[Array, Array], tuple[Array, Array]], pose: Array, covariance: Array, c_deg: Array
 ) -> Array:
-    """(25,) Standard deviation, deg, of an angle that is measured with this pose (6,), at 25 angles over the range of
-    c_deg (n,), by the pose's covariance (6, 6): a pose that is off by dp moves the image by h_p dp, which is read as an
-    angle dc = -(h_c . h_p dp) / |h_c|^2. seen: image positions and their slopes h_c, as in `hand_eye`."""
+    """The standard deviation (25,), deg, of an angle that is measured with this pose (6,), at 25 angles over the range
+    of c_deg (n,), from the pose's covariance (6, 6). A pose that is off by dp moves the image by h_p dp, which is read
+    as an angle dc = -(h_c . h_p dp) / |h_c|^2. image_and_slope: as in `hand_eye`; its slopes are h_c."""
     grid = np.linspace(c_deg.min(), c_deg.max(), 25)
-    slope = seen(pose, grid)[1]
+    slope = image_and_slope(pose, grid)[1]
     step = 1e-4  # deg or mm, of central differences
-    reads = []
+    reads = []  # dc by each of the six parameters of the pose, (25,) deg per deg or mm
     for one in np.eye(6) * step:
-        moved = (seen(pose + one, grid)[0] - seen(pose - one, grid)[0]) / (2.0 * step)  # h_p
+        moved = (image_and_slope(pose + one, grid)[0] - image_and_slope(pose - one, grid)[0]) / (2.0 * step)  # h_p
         reads.append(-(slope * moved).sum(axis=1) / (slope * slope).sum(axis=1))
     sigma: Array = np.sqrt(np.einsum("kn,kl,ln->n", reads, covariance, reads))
     return sigma

@@ -46,49 +46,51 @@ class SimLink:
         self._lines = self._socket.makefile("rb")
 
     def ask(self, request: str) -> dict[str, Any]:
-        """The answer to a request. TautError where the board has stopped, or refuses it."""
+        """Sends a request and returns its answer. TautError where the board has stopped, or refuses the request."""
         self._send(request)
         return self._answer(request)
 
     def ask_all(self, *requests: str) -> list[dict[str, Any]]:
-        """Several requests in one round trip, which costs more than most answers. None may end the connection."""
+        """Sends several requests at once and returns their answers in order: one round trip, which takes longer than
+        the board needs for most requests. None of them may be one that ends the connection. TautError as of `ask`."""
         self._send("\n".join(requests))
         return [self._answer(request) for request in requests]
 
     def _send(self, lines: str) -> None:
-        """Sends requests, a line each. TautError where the board has stopped."""
+        """Sends one or more requests, one a line. TautError where the board has stopped."""
         try:
             self._socket.sendall(lines.encode() + b"\n")
         except OSError as error:
-            raise _stopped() from error
+            raise _stopped_error() from error
 
     def _answer(self, request: str) -> dict[str, Any]:
-        """The next answer as a dict. TautError where the board has stopped, or refused the request."""
+        """Reads the next answer. TautError where the board has stopped, or refused the request."""
         try:
             line = self._lines.readline()
         except OSError as error:
-            raise _stopped() from error
+            raise _stopped_error() from error
         if not line:
-            raise _stopped()
+            raise _stopped_error()
         answer: dict[str, Any] = json.loads(line)
         if "error" in answer:
             raise TautError(f"the simulated board refused '{request}': {answer['error']}")
         return answer
 
     def close(self) -> None:
-        """Closes the socket; the board goes on."""
+        """Closes the socket; the board's process goes on."""
         with contextlib.suppress(OSError):
             self._lines.close()
             self._socket.close()
 
 
-def _stopped() -> TautError:
-    """The error to raise where the simulated board's process does not answer any more."""
+def _stopped_error() -> TautError:
+    """The error to raise where the simulated board no longer answers."""
     return TautError("the simulated board has stopped: start it again")
 
 
 def program() -> Path:
-    """The desktop board's executable. Raises TautError with the places where it was looked for."""
+    """The path of the desktop board's executable: the one named in the environment, in the wheel, on the PATH, or built
+    here. TautError, which says where it was looked for, where there is none."""
     named = os.environ.get(PROGRAM)
     if named and not Path(named).is_file():
         raise TautError(f"{PROGRAM} names {named}, which is not there: build it, or unset {PROGRAM}")
@@ -106,7 +108,8 @@ def program() -> Path:
 
 
 class DesktopBoard(Closable):
-    """A desktop board of our own, for as long as the block lasts. Its flash is a file that outlives it where named."""
+    """A process of the desktop board, which lives until `close` or the end of the with block. Its flash is a file,
+    which is kept if the caller names it."""
 
     def __init__(
         self,
@@ -118,8 +121,9 @@ class DesktopBoard(Closable):
         update_key: bytes | None = None,
     ) -> None:
         """Starts the desktop board and waits until it says where its links are. flash: the file that it keeps, by
-        default a temporary one. realtime: time runs with the wall clock, else by `advance`. rate_hz: of its control.
-        update_key: 32 bytes, by which new firmware's signature is checked; None: no firmware is taken."""
+        default a temporary one. realtime: time runs with the wall clock, else only by `advance`. rate_hz: of its
+        control loop. update_key: 32 bytes that the signature of new firmware is checked with; None: it takes no
+        firmware. TautError where it does not start."""
         self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
         self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
         line = os.environ.get(LINE, "usbip")
@@ -159,7 +163,7 @@ class SimulatedAxis:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
-        """Begins where the axis' motor stands now, with the play on its centre. link: to the board. Times are the
+        """Begins where the axis' motor stands now, with the play on its centre. link: to the board. All times are the
         board's, s since it was switched on; q is the motor's true position, in the rig's unit."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
@@ -173,10 +177,13 @@ class SimulatedAxis:
         instrument.reset()
         state = link.ask("state")
         self._boot_us = state["t_us"] - state["board_us"]  # the simulation's time when the board was switched on
-        self._append(np.array([state["board_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)
+        self._move_instrument(
+            np.array([state["board_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8
+        )
 
-    def _append(self, t_s: Array, q: Array) -> None:
-        """Moves the instrument by the motor's positions q (n,), the rig's unit, at t_s (n,); keeps where it went."""
+    def _move_instrument(self, t_s: Array, q: Array) -> None:
+        """Moves the instrument by the motor's positions q (n,), the rig's unit, at t_s (n,), s; appends its path to
+        `_t`, `_q`, `_p`, `_c` and `_way`."""
         self._t.append(t_s)
         self._q.append(q)
         course = self.instrument.course(t_s, q, translation_mm=None, rotation_deg=None)
@@ -186,57 +193,62 @@ class SimulatedAxis:
 
     @property
     def now_s(self) -> float:
-        """The board's time of the last position, s."""
+        """The time of the last known position, s on the board's clock."""
         return float(self._t[-1][-1])
 
     def advance_to(self, t_s: float) -> None:
-        """Runs board and instrument in lockstep to the first millisecond at or after t_s."""
+        """Runs board and instrument in lockstep to the first millisecond at or after t_s; does nothing if that is past.
+        With mechanical ends it looks every _END_STEP_US whether the motor is at one."""
+        # 1e-6 ms: rounding of t_s adds no millisecond.
         behind_us = int(np.ceil((t_s - self.now_s) * 1e3 - 1e-6)) * 1000
         if behind_us <= 0:
             return
         while self._ends is not None and behind_us > 0:
             self._advance(min(behind_us, _END_STEP_US))
-            self._meet(*self._ends)
+            self._block_at_ends(*self._ends)
             behind_us -= _END_STEP_US
         if behind_us > 0:
             self._advance(behind_us)
 
     def end_at(self, low: float, high: float) -> None:
-        """From now on the motor has mechanical ends at low and high, the rig's unit: it cannot go beyond, but come
-        back."""
+        """Gives the motor mechanical ends at low and high, the rig's unit, from now on: it cannot go beyond them, but
+        come back."""
         self._ends = low, high
 
-    def _meet(self, low: float, high: float) -> None:
-        """Blocks the motor where it is at or beyond an end (low, high, the rig's unit) and driven on; frees it else."""
+    def _block_at_ends(self, low: float, high: float) -> None:
+        """Blocks the motor where it is at or beyond an end (low, high, the rig's unit) and driven farther out; else
+        frees it."""
         q, drive = float(self._q[-1][-1]), self.link.ask("state")["axes"][self.axis]["duty_q15"]
         held = (q <= low and drive < 0) or (q >= high and drive > 0)
         self.link.ask(f"inject {self.axis} {'blocked' if held else 'well'}")
 
     def _advance(self, us: int) -> None:
-        """Lets the board run for so many microseconds and moves the instrument along. The board answers with the
-        motor's positions, 1/256 counts, at each millisecond since the last answer, the last one now."""
+        """Lets the board run for `us` microseconds and moves the instrument along. The board answers with the motor's
+        positions, 1/256 counts, at each millisecond since the last answer; the last one is now."""
         answer = self.link.ask(f"advance {us}")
         q = np.asarray(answer["q"][self.axis], dtype=np.float64) * self.resolution / _Q8
         step = answer["dt_us"]
-        self._append((answer["t_us"] - self._boot_us + step * np.arange(1 - len(q), 1)) * 1e-6, q)
+        self._move_instrument((answer["t_us"] - self._boot_us + step * np.arange(1 - len(q), 1)) * 1e-6, q)
 
     def truth(self) -> tuple[Array, Array, Array, Array]:
-        """(n,) each, one per millisecond of board time: t_s, s, q and p, the rig's unit, and c, deg."""
+        """The whole path so far, (n,) each, a sample per millisecond of board time: t_s, s, q and p, the rig's unit,
+        and c, deg."""
         t, q, p, c = (np.concatenate(parts) for parts in (self._t, self._q, self._p, self._c))
         return t, q, p, c
 
     def scene(self, t_s: Array) -> tuple[Array, float, float]:
-        """What a simulated camera asks for: c (n,) deg at past times (n,) s, translation 0 mm, rotation 0 deg."""
-        return self._recent(t_s, self._c), 0.0, 0.0
+        """The state that a simulated camera draws: c (n,), deg, at past times t_s (n,), s; translation 0 mm and
+        rotation 0 deg."""
+        return self._past_values(t_s, self._c), 0.0, 0.0
 
     def marker(self, t_s: Array) -> Array:
-        """Where the marker was seen (n, 2) px at past times (n,) s, the other degrees of freedom at rest at 0."""
-        c_deg, way = self._recent(t_s, self._c), self._recent(t_s, self._way)
+        """Where the marker was seen, (n, 2) px, at past times t_s (n,), s, with translation and rotation at 0."""
+        c_deg, way = self._past_values(t_s, self._c), self._past_values(t_s, self._way)
         return self.instrument.see(c_deg, way, translation_mm=0.0, rotation_deg=0.0)
 
-    def _recent(self, t_s: Array, values: list[Array]) -> Array:
-        """Values, kept in parts as _t is, at past times (n,) s, straight in between. Only the last parts are joined, as
-        far back as is asked for: a long run stays fast."""
+    def _past_values(self, t_s: Array, values: list[Array]) -> Array:
+        """Values at past times t_s (n,), s, interpolated linearly. values: in parts as `_t` is. Only so many of the
+        last parts are joined as reach back to the earliest time, so that a long run stays fast."""
         recent = 1
         while recent < len(self._t) and self._t[-recent][0] > t_s.min():
             recent += 1

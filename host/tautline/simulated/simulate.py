@@ -33,7 +33,8 @@ TRUTH = "truth.json"  # beside a simulated recording, by which it is known as on
 
 @dataclass(frozen=True)
 class Simulation:
-    """A recording and what was true: p and c of the instrument at the motor's times, and where each frame was taken."""
+    """A recording and the truth behind it: the instrument, its p and c at the motor's times, and when each frame showed
+    the scene."""
 
     recording: Recording
     instrument: Instrument
@@ -50,17 +51,17 @@ class Simulation:
         lossless: bool = False,
         progress: Progress | None = None,
     ) -> None:
-        """The recording as a folder, and the truth: truth.csv (t_s, c_deg, p at the motor's times) and truth.json (B
-        and f_remain on a grid, the delay). With an endoscope its frames as a video and the marker's colour as
-        marker.toml, in place of marker.csv. A simulation that was there is replaced, whole or not at all.
+        """Saves the recording as a folder, with the truth: truth.csv (t_s, c_deg, p at the motor's times) and
+        truth.json (B and f_remain on a grid, the delay). With an endoscope, its frames as a video and the marker's
+        colour as marker.toml replace marker.csv. A simulation that was in the folder is replaced, whole or not at all.
 
-        lossless: 0.6 MB a frame instead of 0.03, and the tracker's noise 0.01 px instead of 0.04.
-        """
+        lossless: a frame takes 0.6 MB instead of 0.03, and the tracker's noise is 0.01 px instead of 0.04. progress:
+        gets the share of the video done, 0 to 1, and a word. TautError where there is no frame to draw."""
         with replaced_folder(Path(folder), TRUTH, stale=recordings.FILES) as target:
             self._save(target, endoscope, lossless, progress)
 
     def _save(self, folder: Path, endoscope: Endoscope | None, lossless: bool, progress: Progress | None) -> None:
-        """Writes `save`'s files into an empty folder. TautError where there is no frame to draw."""
+        """Writes the files of `save` into an empty folder. TautError where an endoscope has no frame to draw."""
         if endoscope is not None and not len(self.scene_s):
             raise TautError("no frame of this motion arrives: let it last longer, or lose fewer frames")
         recording = self.recording if endoscope is None else replace(self.recording, marker=None)
@@ -81,8 +82,8 @@ class Simulation:
             self._save_video(folder, endoscope, lossless, progress)
 
     def scene(self, t_s: Array) -> tuple[Array | float, Array | float, Array | float]:
-        """The instrument's state at any times (n,) s: c (n,) deg, translation, mm, and rotation, deg, (n,) or 0 where
-        it has none."""
+        """The instrument's state at times t_s (n,), s: c (n,), deg, translation, mm, and rotation, deg, each (n,), or 0
+        where the recording has none."""
         motor = self.recording.motor
         others = (
             0.0 if x is None else np.interp(t_s, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg)
@@ -90,8 +91,8 @@ class Simulation:
         return np.interp(t_s, self.t_s, self.c_deg), *others
 
     def _save_video(self, folder: Path, endoscope: Endoscope, lossless: bool, progress: Progress | None) -> None:
-        """Draws the frames at their scene times and writes them as a video with frames.csv, beside the
-        marker's colour, picked where the marker is in the first."""
+        """Draws each frame at its scene time; writes video.mkv, frames.csv with the arrival times, and the marker's
+        colour, picked in the first frame where the marker truly is."""
         camera = SimulatedCamera(endoscope, self.scene, self.timing)
         total = len(self.scene_s)
         place = endoscope.position(*self.scene(self.scene_s[:1]))[0]
@@ -121,13 +122,13 @@ def run(
     seed: int = 0,
     name: str = "simulated",
 ) -> Simulation:
-    """Drives `instrument` along `trajectory` and records it as `rig` would: encoder counts at 1 kHz and marker
-    positions with white noise of `noise_px` per coordinate, without images.
+    """Drives `instrument` along `trajectory` and records it as `rig` would: encoder counts at the trajectory's times,
+    and marker positions with white noise of `noise_px` per coordinate, without drawing images.
 
-    timing: of the frames; default the rig's nominal rate and delay with a phase from the seed. angle_noise_deg: an
-    external sensor at 250 Hz is recorded too (always on a rig without a camera). start_p: where the play starts; NaN is
-    the centre. The rig may differ from the instrument's own: then the marker moves as the instrument's rig says.
-    """
+    timing: of the frames; default the rig's nominal rate and delay with a phase from the seed. angle_noise_deg: rms
+    noise of an angle sensor at 250 Hz, which is recorded too (on a rig without a camera always; None is then no noise).
+    start_p: p at the start, unit of q; NaN: the play is centred. The rig may differ from the instrument's own: the
+    marker moves as the instrument's rig says. TautError where the trajectory takes no time."""
     if not trajectory.duration_s > 0:
         raise TautError("a simulation needs a motion that lasts: give it a longer duration")
     rng = np.random.default_rng([seed, 0x51A])  # any number: other draws of this seed are independent
@@ -140,7 +141,8 @@ def run(
     scene, arrival = frames.T
     angle_t = np.arange(0.0, end, 1 / 250.0)
 
-    # Over all the times that anyone looks at: what a frame shows between two encoder samples is exact too.
+    # The instrument moves over the times of motor, frames and angle sensor together, so that a frame between two
+    # encoder samples is exact too.
     every = np.unique(np.concatenate([t, scene, angle_t]))  # s; p and c below are at these times
     instrument.reset(start_p)
     at_every = (None if x is None else np.interp(every, t, x) for x in others)
@@ -165,8 +167,8 @@ def run(
 
 
 def _marker_in_frame(image_px: Array, arrival_s: Array, rig: Rig, noise_px: float) -> Marker:
-    """The marker at places (n, 2) px in frames that arrive at arrival_s (n,): not valid where it is outside of them.
-    noise_px: what is stated as its sigma. The rig has a camera."""
+    """The marker seen at places (n, 2), px, in frames that arrive at arrival_s (n,), s. Outside of the frame it is NaN
+    and not valid. noise_px: the sigma that the marker states. The rig has a camera."""
     assert rig.camera is not None
     inside = np.all((image_px >= 0) & (image_px <= [rig.camera.width_px - 1, rig.camera.height_px - 1]), axis=1)
     u, v = np.where(inside[:, None], image_px, np.nan).T
@@ -174,7 +176,8 @@ def _marker_in_frame(image_px: Array, arrival_s: Array, rig: Rig, noise_px: floa
 
 
 def _encoder_counts(trajectory: Trajectory, rig: Rig) -> Motor:
-    """A trajectory as the rig's encoder reads it, in whole counts, with the true positions as the command."""
+    """A trajectory as a motor's log: q is rounded to whole counts of the rig's encoder, the command is the exact
+    position."""
     resolution = rig.actuator.encoder_resolution
     return Motor(
         trajectory.t_s,
@@ -186,5 +189,5 @@ def _encoder_counts(trajectory: Trajectory, rig: Rig) -> Motor:
 
 
 def simulate(rig: Rig, instrument: Instrument, trajectory: Trajectory, **options: Any) -> Recording:
-    """`run`'s recording alone; options as there."""
+    """The recording of `run` without the truth; options as there."""
     return run(rig, instrument, trajectory, **options).recording

@@ -30,8 +30,8 @@ class Drive:
     """
 
     def __init__(self, simulator: Simulator, motor: Motor, rig: Rig, pool: Executor | None = None) -> None:
-        """motor: of the recording; its command drives the simulator, or the encoder's path where there is none. pool:
-        processes of side_by_side.pool; None simulates in this one."""
+        """motor: the recording's; its command drives the simulator, or without one the encoder's path. pool: processes
+        of side_by_side.pool; None simulates in this one."""
         self._simulator, self._rig, self._coarse, self._pool = simulator, rig, rig.coarse, pool
         self._asked: dict[tuple[float, ...], Future[Array]] = {}  # simulations under way in the pool
         self._ids = {simulator_id(each.name): each.name for each in simulator.parameters}  # names by effects' ids
@@ -39,24 +39,25 @@ class Drive:
         self._known: OrderedDict[tuple[float, ...], Motor] = OrderedDict()  # results, the last used at the end
 
     def along(self, motor: Motor) -> Drive:
-        """The same simulator, driven by another motor log."""
+        """A Drive with the same simulator, rig and pool, driven by another motor log."""
         return Drive(self._simulator, motor, self._rig, self._pool)
 
     def ask(self, parameters: Mapping[str, Any]) -> None:
-        """Starts the simulation for which `motor` will be called with these parameters, in the pool's processes, so
-        that several run at once. Does nothing without a pool."""
+        """Starts a simulation in the pool's processes, so that several run at once; `motor` with the same parameters
+        then waits for its result. Does nothing without a pool, or for a simulation that was started or whose result is
+        kept."""
         changes, key = self._nonzero_changes(parameters)
         if self._pool is not None and key not in self._known and key not in self._asked:
             self._asked[key] = self._pool.submit(side_by_side.tip, self.log, changes)
 
     def motor(self, parameters: Mapping[str, Any]) -> Motor:
-        """Runs the simulator and returns the log with the simulated tip's coordinate, unit of q, as its q, straight
-        lines between its knots. parameters: by effects' names (others are ignored), how far the simulator's are off
-        their own values. The last _KEPT results are kept and not simulated again."""
+        """Runs the simulator and returns the motor's log with the simulated tip's coordinate, unit of q, as its q.
+        parameters: by the effects' names, how far the simulator's parameters are off their nominal values; other
+        effects' are ignored. The last _KEPT results are kept and not simulated again."""
         changes, key = self._nonzero_changes(parameters)
         if key not in self._known:
-            asked = self._asked.pop(key, None)
-            tip_deg = self._simulator.tip(self.log, changes) if asked is None else asked.result()
+            running = self._asked.pop(key, None)
+            tip_deg = self._simulator.tip(self.log, changes) if running is None else running.result()
             self._known[key] = _with_coordinate(self.log, (tip_deg - self._coarse.offset) / self._coarse.gain)
             if len(self._known) > _KEPT:
                 self._known.popitem(last=False)
@@ -64,15 +65,15 @@ class Drive:
         return self._known[key]
 
     def _nonzero_changes(self, parameters: Mapping[str, Any]) -> tuple[dict[str, float], tuple[float, ...]]:
-        """Picks the simulator's parameters out of an effects' dictionary: those that are not 0, by the simulator's own
-        names, and the values of all as a key for the results that are kept."""
+        """The simulator's parameters in an effects' dictionary, in two forms: those that are not 0, by the simulator's
+        own names; and the values of all, as a key for the kept results."""
         changes = {name: float(parameters[key]) for key, name in self._ids.items() if parameters.get(key)}
         return changes, tuple(changes.get(name, 0.0) for name in self._ids.values())
 
 
 def _resampled_log(motor: Motor, rig: Rig) -> Motor:
-    """The motor log at a fixed step, STEP_S, linear between samples: as q the command (without one, the encoder's
-    path), and all other columns."""
+    """The motor's log at a fixed step, STEP_S, with linear interpolation of all columns. Its q is the command, or
+    without one the encoder's path."""
     path = MotorPath.of(motor, rig.actuator.encoder_resolution)
     steps = int(np.floor((motor.t_s[-1] - motor.t_s[0]) / STEP_S))
     t_s = motor.t_s[0] + STEP_S * np.arange(steps + 1)
@@ -81,5 +82,5 @@ def _resampled_log(motor: Motor, rig: Rig) -> Motor:
 
 
 def _with_coordinate(log: Motor, q: Array) -> Motor:
-    """The log with the coordinate q (n,), unit of q, in place of the motor's, and no command."""
+    """The log with the coordinate q (n,), unit of q, instead of the motor's, and without a command."""
     return replace(log, q=q, q_cmd=None)

@@ -48,16 +48,17 @@ class SimulatedNominal:
 
     @property
     def kinds(self) -> tuple[effects.Kind, ...]:
-        """The effects that the diagnosis may name: one for each of the simulator's parameters, 0 where the robot is as
-        the simulator."""
+        """The effects that the diagnosis may name: one for each parameter of the simulator, whose value is 0 where the
+        robot is as the simulator."""
         return tuple(
             effects.of_simulator(p.name, p.unit, p.spread, low=p.low - p.nominal, high=p.high - p.nominal)
             for p in self.simulator.parameters
         )
 
     def to_json(self, named: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """The object `simulator` of diagnosis.json: its source, those of its parameters that the diagnosis names, with
-        their values in the simulator and on the robot, and its StepError. named: effects of diagnosis.json."""
+        """The object `simulator` of diagnosis.json: the source, the parameters that the diagnosis names, with their
+        values in the simulator and on the robot, and the StepError if there is one. named: the effects of
+        diagnosis.json."""
         changes = {name: value for effect in named for name, value in effect["parameters"].items()}
         return {
             "source": dict(self.simulator.source),
@@ -73,9 +74,10 @@ class SimulatedNominal:
 def nominal(
     simulator: Simulator, robots: Sequence[Recording], rig: Rig, pool: Executor | None = None
 ) -> SimulatedNominal:
-    """What a diagnosis of the robots' recordings compares them with, from a simulator instead of a calibration. By
-    markers if the rig has a camera and all recordings have a marker.csv, else by angle.csv. pool: processes of
-    side_by_side.pool. TautError where recordings have neither, or the simulator fails."""
+    """What a diagnosis compares the robots' recordings with, from a simulator instead of a calibration. Markers are
+    compared if the rig has a camera and all recordings have a marker, else angles. All recordings are simulated, side
+    by side with a pool of side_by_side.pool. TautError where there is no recording, one lacks what is compared, or the
+    simulator fails."""
     if not robots:
         raise TautError("name at least one recording of the robot")
     by_marker = rig.has_camera and all(robot.marker is not None for robot in robots)
@@ -86,15 +88,15 @@ def nominal(
         drive.ask({})  # so that all are simulated at once, where there is a pool
     tests = [replace(robot, motor=drive.motor({})) for robot, drive in zip(robots, drives, strict=True)]
     model = _backlash_free_model(simulator, rig, by_marker)
-    calibration = replace(_what_it_shows(model, tests[0], by_marker), name="simulator")
+    calibration = replace(_simulated_recording(model, tests[0], by_marker), name="simulator")
     return SimulatedNominal(
         model, calibration, tests=tuple(tests), drives=(drives[0], *drives), simulator=simulator
     )  # fmt: skip
 
 
 def _backlash_free_model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
-    """A model of the rig without backlash whose f_remain is f_coarse: what the tip does beyond that is the
-    simulator's."""
+    """A model of the rig without backlash, whose f_remain is f_coarse, over the simulated tip's coordinate: so all that
+    the tip does beyond f_coarse comes from the simulator."""
     low, high = rig.actuator.range
     q = np.linspace(low, high, _POINTS)
     sensor = MARKER if by_marker else ANGLE
@@ -111,9 +113,9 @@ def _backlash_free_model(simulator: Simulator, rig: Rig, by_marker: bool) -> Mod
     )
 
 
-def _what_it_shows(model: Model, test: Recording, by_marker: bool) -> Recording:
-    """The recording `test` with what the simulator shows in place of what the robot's sensor saw: the marker or the
-    angle, at the same times, without noise."""
+def _simulated_recording(model: Model, test: Recording, by_marker: bool) -> Recording:
+    """The recording `test` with the simulator's marker or angle, at the same times and without noise, in place of what
+    the robot's sensor saw; without video."""
     seen = test.marker if by_marker else test.angle
     assert seen is not None  # nominal has looked
     path = effects.simulate(model, test.motor, seen.t_s - model.delay_s, {})

@@ -23,9 +23,9 @@ _pickled: list[bytes] = []  # of a worker: the pickled simulator
 
 @contextmanager
 def pool(simulator: Simulator, workers: int) -> Iterator[Executor | None]:
-    """A context with `workers` processes that have the simulator, to which `tip` can be submitted; None for fewer than
-    two: then this process simulates itself. TautError where the simulator cannot be sent to another process, or a
-    process ends."""
+    """A context with `workers` processes that have the simulator; `tip` can be submitted to them. With fewer than two
+    workers it gives None: then this process simulates itself. TautError where the simulator cannot be sent to another
+    process, or a process ends."""
     if workers < 2:
         yield None
         return
@@ -41,20 +41,20 @@ def pool(simulator: Simulator, workers: int) -> Iterator[Executor | None]:
 
 
 def tip(motor: Motor, changes: Mapping[str, float]) -> npt.NDArray[np.float64]:
-    """What is submitted to `pool`: in a worker, Simulator.tip of the simulator that it got, (n,) deg. TautError where a
-    worker cannot load it, such as a notebook's function."""
+    """Runs Simulator.tip of the worker's simulator: the tip's angles (n,), deg. It is submitted to `pool` and called in
+    a worker. TautError where the worker cannot load the simulator, such as a notebook's function."""
     return _simulator().tip(motor, changes)
 
 
 def _receive_simulator(sent: bytes) -> None:
-    """Initialiser of a worker: keeps the pickled simulator, which `_simulator` loads, so that its errors are raised
-    where it is used."""
+    """Keeps the pickled simulator in a worker, whose initialiser this is. `_simulator` loads it later, so that an error
+    of loading is raised where the simulator is used."""
     _pickled.append(sent)
 
 
 @cache
 def _simulator() -> Simulator:
-    """The worker's simulator, loaded once. TautError where it cannot be loaded."""
+    """The worker's simulator, loaded at the first call. TautError where it cannot be loaded."""
     try:
         made: Simulator = pickle.loads(_pickled[0])
     except Exception as error:  # of somebody else's module: anything

@@ -35,9 +35,10 @@ class Sight:
     px: Array  # (n, 2) finite
 
     def to_angle(self, recording: Recording, late_s: float = 0.0) -> Recording:
-        """The recording with an angle.csv's angle in place of its marker: at each frame the hinge's angle whose place
-        on the track is nearest to the marker's. late_s: how much older frames are than angles, subtracted from their
-        times. TautError where there is no marker, or most of its places are far from the track."""
+        """The recording with an angle instead of its marker and video: at each frame the hinge's angle at the place of
+        the track that is nearest to the marker, not valid where that is farther off than _OFF of the track's extent.
+        late_s: how much older, s, frames are than angles; it is subtracted from their times. TautError where there is
+        no marker, or most of its places are that far off."""
         marker = recording.marker
         if marker is None:
             raise TautError(f"{recording.name}: has no marker.csv: --camera compares the marker's places in the image")
@@ -53,9 +54,11 @@ class Sight:
         return replace(recording, marker=None, video=None, angle=seen)
 
     def angle(self, marker: Marker) -> tuple[Array, Array]:
-        """The hinge's angle (n,), deg, at the place of the track that is nearest to the marker's in each of n frames,
-        and how far off the track the marker is (n,), px; NaN where the marker is not valid."""
+        """For each of n frames the hinge's angle (n,), deg, at the place of the track that is nearest to the marker,
+        and the marker's distance from that place (n,), px; both NaN where the marker is not valid."""
         places = np.column_stack([marker.u_px, marker.v_px])
+        # The track is a chain of straight pieces along `ahead`. The marker's projection on a piece gives the nearest
+        # point of that piece, as a share of it.
         ahead = np.diff(self.px, axis=0)
         length2 = np.maximum(np.sum(ahead**2, axis=1), 1e-12)
         unseen = np.diff(self.c_deg) > 1.5 * _STEP_DEG  # the track leaves the image there, and comes back elsewhere
@@ -70,10 +73,10 @@ class Sight:
 
 
 def sight(path: Path, site: str, camera: str) -> Sight:
-    """The track of a site in the image of a camera, both named in an MJCF file, the other joints in the file's own
-    pose; so that a recording with a marker on this site can be compared with the simulator's angle. TautError names
-    what is not in the file; also where not exactly one hinge moves the site, the camera does not see it move, or one
-    place has several angles."""
+    """The track of a site in a camera's image, both named in an MJCF file, with all other joints in the file's own
+    pose. By it a recording with a marker on this site is compared with the simulator's angle. TautError where the file
+    lacks one of them, not exactly one hinge moves the site, the camera does not see it move, or one place in the image
+    has several angles."""
     check_mujoco()
     model = read_mujoco(path)
     check_named(path, "site", site, [str(model.site(i).name) for i in range(model.nsite)])
@@ -87,10 +90,11 @@ def sight(path: Path, site: str, camera: str) -> Sight:
     c_deg, px = _track(model, hinge, site, camera)
     size = model.cam_resolution[at]
     with np.errstate(invalid="ignore"):  # NaN is not seen
-        seen = ((px > -size) & (px < 2 * size)).all(axis=1)  # with as much again around the frame
+        seen = ((px > -size) & (px < 2 * size)).all(axis=1)  # also within one frame size beyond each border
     if seen.sum() < 2 or np.ptp(px[seen], axis=0).max() < 1.0:
         raise TautError(f"{path}: the camera {camera} does not see the site {site} move: name another --camera")
     c_deg, px = c_deg[seen], px[seen]
+    # Every two places of the track: near to each other though their angles are far apart.
     alike = np.linalg.norm(px[:, None] - px[None], axis=2) < _ALIKE_PX
     if (alike & (np.abs(c_deg[:, None] - c_deg[None]) > _APART_DEG)).any():
         raise TautError(
@@ -101,9 +105,9 @@ def sight(path: Path, site: str, camera: str) -> Sight:
 
 
 def _track(model: mujoco.MjModel, hinge: str, site: str, camera: str) -> tuple[Array, Array]:
-    """Where the camera sees the site at each of the hinge's angles, over its range where it is limited: angles (n,),
-    deg, _STEP_DEG apart, and places (n, 2), px, NaN behind the camera. Other joints are in the file's first keyframe,
-    without one in their zero pose."""
+    """The places at which the camera sees the site at the hinge's angles, over its range if it has one, else _FAR_DEG
+    either way. Returns angles (n,), deg, _STEP_DEG apart, and places (n, 2), px, NaN behind the camera. Other joints
+    are in the file's first key frame, or without one in the zero pose."""
     import mujoco
 
     joint = model.joint(hinge)
@@ -117,13 +121,13 @@ def _track(model: mujoco.MjModel, hinge: str, site: str, camera: str) -> tuple[A
         data.qpos[joint.qposadr[0]] = angle
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        px[i] = _image(model, data, camera, data.site(site).xpos)
+        px[i] = _project(model, data, camera, data.site(site).xpos)
     return c_deg, px
 
 
 def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:
-    """The name of the one joint that moves the site. TautError unless it is exactly one, a hinge, with a name. path:
-    of the file, for messages."""
+    """The name of the one joint that moves the site. TautError unless there is exactly one and it is a hinge with a
+    name. path: the file's, for messages."""
     import mujoco
 
     above = joints_above(model, site)
@@ -134,9 +138,10 @@ def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:
     return str(model.joint(above[0]).name)
 
 
-def _image(model: mujoco.MjModel, data: mujoco.MjData, camera: str, place: Array) -> Array:
-    """Where a camera of the file sees a place (3,), m in the world: (2,) px, NaN behind the camera, which looks along
-    its own -z, y up. By its intrinsics where the file has a sensor's size, else by its field of view."""
+def _project(model: mujoco.MjModel, data: mujoco.MjData, camera: str, place: Array) -> Array:
+    """The place in a camera's image (2,), px, of a point `place` (3,), m in the world; NaN behind the camera, which
+    looks along its own -z with y up. Focal lengths are from its intrinsics where the file states the sensor's size,
+    else from its field of view."""
     at = model.camera(camera).id
     width, height = (float(n) for n in model.cam_resolution[at])
     x, y, z = data.cam_xmat[at].reshape(3, 3).T @ (place - data.cam_xpos[at])

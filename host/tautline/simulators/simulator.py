@@ -18,7 +18,7 @@ Simulate = Callable[[Motor, Mapping[str, float]], npt.ArrayLike]
 
 @dataclass(frozen=True)
 class Declared:
-    """A number of the simulator that may be another one on the robot."""
+    """A parameter of the simulator whose value may differ on the robot."""
 
     name: str  # such as elbow.damping
     unit: str
@@ -28,7 +28,8 @@ class Declared:
     high: float = float("inf")  # the greatest
 
     def __post_init__(self) -> None:
-        """TautError where the nominal value is not finite or outside of its own range, or the spread not above 0."""
+        """Raises TautError where the nominal value is not finite or is outside of [low, high], or the spread is not
+        finite and above 0."""
         if not (np.isfinite(self.nominal) and np.isfinite(self.spread) and self.spread > 0.0):
             raise TautError(f"parameter {self.name}: expected a finite nominal value, and a spread above 0")
         if not self.low <= self.nominal <= self.high:
@@ -48,15 +49,15 @@ class Simulator:
     at_step: Callable[[float], Simulator] | None = None  # the same simulator at another step, s
 
     def __post_init__(self) -> None:
-        """TautError where two parameters have the same name."""
+        """Raises TautError where two parameters have the same name."""
         names = [each.name for each in self.parameters]
         if twice := {name for name in names if names.count(name) > 1}:
             raise TautError(f"parameter {min(twice)} of the simulator is declared twice: give each a name of its own")
 
     def tip(self, motor: Motor, changes: Mapping[str, float]) -> Array:
-        """Runs the simulator: the tip's angles (n,), deg, at motor.t_s (n,). changes: by name, how far a parameter is
-        off its nominal value; 0 for those left out. TautError where the simulator gives another number of angles than
-        times, or an angle that is no number."""
+        """Runs the simulator: the tip's angles (n,), deg, at motor.t_s (n,). changes: by parameter's name, its value
+        less its nominal value; 0 for those left out. TautError where the simulator gives another number of angles than
+        there are times, or an angle that is not finite."""
         values = {each.name: each.nominal + changes.get(each.name, 0.0) for each in self.parameters}
         angles = np.asarray(self.simulate(motor, values), dtype=float)
         if angles.shape != motor.t_s.shape:

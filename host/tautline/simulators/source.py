@@ -25,17 +25,17 @@ _NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # MODULE:NAME
 
 
 def is_python(name: str) -> bool:
-    """Whether a name of --simulator has the form MODULE:NAME, which `of_python` takes. Only the form is looked at: a
-    file that is called so has to be named with its folder, ./MODULE:NAME."""
+    """Whether the argument of --simulator has the form MODULE:NAME, which `of_python` takes. Only the form is checked:
+    a file whose name has this form must be given with its folder, ./MODULE:NAME."""
     return _NAME.fullmatch(name) is not None
 
 
 def of_python(name: str) -> Simulator:
-    """Imports the Simulator that the name MODULE:NAME means; the module may also be in the working directory. TautError
-    where it cannot be imported, or is no Simulator."""
+    """Imports the Simulator with the name MODULE:NAME; puts the working directory on sys.path, so that the module may
+    be there. TautError where it cannot be imported, or is not a Simulator."""
     module, _, attribute = name.partition(":")
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.insert(0, here)  # as `python -m` has it
+    if (folder := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, folder)  # as `python -m` has it
     try:
         found = getattr(importlib.import_module(module), attribute)
     except Exception as error:  # of somebody else's module: anything
@@ -47,17 +47,17 @@ def of_python(name: str) -> Simulator:
 
 
 def open_simulator(model: Model) -> Simulator:
-    """Opens the simulator that a model was made with, by the source that it keeps; where that names a step of time
-    (STEP), the limit for short steps that was used then (`stepless`). TautError where it has no such source, or the
-    simulator is missing or has changed since."""
+    """Opens the simulator that a model was made with, from the source that the model keeps. If the source has a step of
+    time (STEP), the extrapolation from that step is opened (`stepless`). TautError where the model keeps no such
+    source, or the simulator is missing or has changed since."""
     source = model.simulator or {}
     simulator = _open_source(source, model)
     return stepless(simulator, _number(source, STEP)) if STEP in source else simulator
 
 
 def _open_source(source: Mapping[str, Any], model: Model) -> Simulator:
-    """Opens the user's simulator by its source (Simulator.source, without `stepless`'s addition). TautError where it is
-    missing or has changed."""
+    """Opens the user's simulator by its source (Simulator.source; `stepless`'s key in it is ignored). TautError where
+    it is missing or has changed."""
     if source.get("kind") == _PYTHON:
         return of_python(_text(source, "name"))
     if source.get("kind") != mjcf.KIND:
@@ -70,7 +70,7 @@ def _open_source(source: Mapping[str, Any], model: Model) -> Simulator:
 
 
 def _text(source: Mapping[str, Any], key: str) -> str:
-    """The text of a key in a simulator's source, which comes from a model's file. TautError where it is something
+    """The text under a key of a simulator's source, which comes from a model's file. TautError where there is something
     else."""
     value = source.get(key)
     if not isinstance(value, str):
@@ -79,7 +79,7 @@ def _text(source: Mapping[str, Any], key: str) -> str:
 
 
 def _number(source: Mapping[str, Any], key: str) -> float:
-    """The number of a key in a simulator's source, finite and not 0. TautError where it is something else."""
+    """The number under a key of a simulator's source, finite and not 0. TautError where there is something else."""
     value = source.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value or not math.isfinite(value):
         raise _damaged_error(key, value, "a number")
@@ -87,19 +87,21 @@ def _number(source: Mapping[str, Any], key: str) -> float:
 
 
 def _damaged_error(key: str, value: object, expected: str) -> TautError:
-    """The error to raise for a key of a simulator's source with a wrong value. expected: in words."""
+    """The error to raise for a wrong value under a key of a simulator's source. expected: what should be there, in
+    words."""
     return TautError(f"the model's simulator is damaged, its {key} is {value!r}, expected {expected}: diagnose again")
 
 
 def path_of(model: Model, motor: Motor) -> MotorPath:
-    """The path of the coordinate that a model's tables are over, for a motor's log: the motor's own path, or for a
-    model that was diagnosed against a simulator the simulated tip's coordinate. TautError as of `open_simulator`."""
+    """The path of the coordinate that a model's tables are over, for a motor's log. That is the motor's own path; for a
+    model that was diagnosed against a simulator it is the simulated tip's coordinate. TautError as of
+    `open_simulator`."""
     return next(paths_of([model], motor))
 
 
 def paths_of(models: Sequence[Model], motor: Motor) -> Iterator[MotorPath]:
-    """Yields `path_of` each of several models of one simulator, which differ in tables and effects alone. It is opened
-    once, and models with the same values of its parameters share one simulation."""
+    """Yields `path_of` each of several models, which are of one simulator (or all without) and of one rig. The
+    simulator is opened once, and models with the same values of its parameters share one simulation."""
     if models[0].simulator is None:
         path = MotorPath.of(motor, models[0].rig.actuator.encoder_resolution)
         yield from (path for _ in models)

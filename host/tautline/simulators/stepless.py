@@ -1,4 +1,4 @@
-"""What a simulator that goes in steps of time tends to as they get shorter, by two runs (Richardson)."""
+"""The limit of a simulator for ever shorter steps of time, extrapolated from two runs (Richardson)."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class _Limit:
     fine: Simulate  # with half of it
 
     def __call__(self, motor: Motor, parameters: Mapping[str, float]) -> npt.NDArray[np.float64]:
-        """The extrapolated tip's angles (n,), deg, at motor.t_s (n,); as Simulator.simulate."""
+        """The extrapolated angles (n,), deg, of the tip at motor.t_s (n,); arguments as of Simulator.simulate."""
         coarse, fine = (np.asarray(run(motor, parameters), dtype=float) for run in (self.coarse, self.fine))
         return np.asarray(2.0 * fine - coarse)
 
 
 def stepless(simulator: Simulator, step_s: float) -> Simulator:
-    """A simulator that gives the limit of `simulator` for short steps of time, extrapolated from its runs with steps of
-    step_s and half of that; its source says so, for `source.open_simulator`. TautError where the step cannot be
-    changed."""
+    """A simulator that gives the limit of `simulator` for short steps of time, extrapolated from two runs with the
+    steps step_s and step_s / 2. Its source keeps step_s under STEP, for `source.open_simulator`. TautError where the
+    step cannot be changed."""
     if simulator.at_step is None:
         raise TautError("the simulator's step of time cannot be changed: give its Simulator at_step")
     coarse, fine = simulator.at_step(step_s), simulator.at_step(0.5 * step_s)

@@ -30,9 +30,9 @@ class Constant:
 
 
 def constant(model: Model) -> Constant:
-    """The constant backlash that stands best for B(q): of least expected loss over the places where B was measured,
-    where too much costs ten times as much as too little, and B's own standard deviation counts. It is the quantile
-    _QUANTILE of B over these places, found by bisection. TautError where B was measured nowhere."""
+    """The constant that stands best for B(q) over the places where B was measured: that of least expected loss, where
+    too much costs ten times as much as too little and B has its own standard deviation. This is the quantile _QUANTILE
+    of B over these places, found by bisection. TautError where B was measured nowhere."""
     low, high = model.measured
     inside = (model.q >= low) & (model.q <= high)
     if not inside.any():
@@ -41,6 +41,7 @@ def constant(model: Model) -> Constant:
     below, above = 0.0, float(width.max() + 6.0 * sigma.max())  # 6 sigma: as good as certain
     for _ in range(_BISECTIONS):
         middle = 0.5 * (below + above)
+        # Expected share of the places with B below `middle`; ndtr is the normal distribution function.
         share = float(np.mean(ndtr((middle - width) / sigma)))
         below, above = (middle, above) if share < _QUANTILE else (below, middle)
     number = round(below, 6)
@@ -50,7 +51,7 @@ def constant(model: Model) -> Constant:
 
 
 def loses(model: Model) -> list[str]:
-    """What of a model a single number does not hold, a line each, for file and terminal."""
+    """What one number does not hold of a model, a line each, for file and terminal. TautError as of `constant`."""
     number, unit = constant(model), model.rig.actuator.unit
     lost = [
         f"B(q) goes from {number.least:.4g} to {number.most:.4g} {unit}, {number.mean:.4g} in the mean: one "
@@ -63,8 +64,8 @@ def loses(model: Model) -> list[str]:
 
 
 def write_marlin(model: Model, out: Path, axis: str) -> list[Path]:
-    """Writes to `out` the lines for Marlin's Configuration_adv.h, and the command that sets the same at run time. axis:
-    x, y or z. Returns the files written."""
+    """Writes to `out` the lines for Marlin's Configuration_adv.h, and as a comment the command that sets the same at
+    run time. axis: x, y or z, else a TautError. Returns the files written."""
     letter = _axis_letter(axis)
     if letter not in "xyz":
         raise TautError(f"--axis {axis}: Marlin takes backlash up on x, y and z")
@@ -86,8 +87,8 @@ def write_marlin(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def write_fluidnc(model: Model, out: Path, axis: str) -> list[Path]:
-    """Writes to `out` a part of config.yaml, as FluidNC's proposal for backlash has it. axis: its letter. Returns the
-    files written."""
+    """Writes to `out` a part of FluidNC's config.yaml, in the form of its proposal for backlash. axis: a letter of
+    _AXES, else a TautError. Returns the files written."""
     width = constant(model).width
     _write_file(
         out,
@@ -104,8 +105,8 @@ def write_fluidnc(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
-    """Writes to `out` a part of printer.cfg, as Klipper's draft of backlash compensation has it. axis: x, y or z.
-    Returns the files written."""
+    """Writes to `out` a part of Klipper's printer.cfg, in the form of its draft of backlash compensation. axis: x, y or
+    z, else a TautError. Returns the files written."""
     letter = _axis_letter(axis)
     if letter not in "xyz":
         raise TautError(f"--axis {axis}: Klipper's draft takes backlash up on x, y and z")
@@ -126,7 +127,7 @@ def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def _axis_letter(name: str) -> str:
-    """The axis of --axis as a lower-case letter of _AXES. TautError where it is none."""
+    """The axis of --axis as a lower-case letter of _AXES. TautError where it is another text."""
     letter = name.lower()
     if letter not in [*_AXES]:
         raise TautError(f"--axis {name}: name one of {', '.join(_AXES)}")
@@ -134,8 +135,8 @@ def _axis_letter(name: str) -> str:
 
 
 def _write_file(out: Path, mark: str, model: Model, lines: list[str]) -> None:
-    """Writes `lines` to `out`, whole or not at all, below comments on what the number is and what it loses. mark: what
-    begins a comment in this file."""
+    """Writes `lines` to `out`, whole or not at all, below comments that say what the number is and what it loses of the
+    model. mark: begins a comment in this file."""
     low, high = model.measured
     unit = model.rig.actuator.unit
     header = [

@@ -31,5 +31,5 @@ def write(log: Log, out: Path) -> list[Path]:
 
 
 def _columns(part: Series | Curve) -> dict[str, object]:
-    """The columns of a series' or curve's file, by name; a series has its times first."""
+    """The columns of a series' or a curve's file, by name; those of a series begin with its times, t_s."""
     return {"t_s": part.t_s, **part.columns} if isinstance(part, Series) else dict(part.columns)

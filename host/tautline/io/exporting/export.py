@@ -53,9 +53,10 @@ def export(
     axis: str | None = None,
     progress: Progress = lambda share, what: None,
 ) -> Exported:
-    """Writes a source to `out`, a file or a folder, whole or not at all, in the format named `to` (of FORMATS). mount:
-    for mjcf, where the model goes; axis: for controllers, None takes the format's usual one; progress: gets the share
-    done, 0 to 1, and a word. TautError where format, source, options or place do not fit."""
+    """Writes a source to `out`, a file or a folder, whole or not at all, in the format named `to` (of FORMATS), and
+    returns what was written and what the format lost. mount: for mjcf, where the model goes; axis: for controllers,
+    None takes the format's usual one; progress: gets the share done, 0 to 1, and a word. TautError where format,
+    source, options or place do not fit."""
     form = BY_NAME.get(to)
     if form is None:
         raise TautError(f"--to {to}: no such format: choose one of {', '.join(BY_NAME)}")
@@ -84,7 +85,7 @@ def export(
 
 
 def _check(form: Format, source: Source, mount: Mount | None, axis: str | None) -> None:
-    """TautError where the format does not take this source or these options, or needs a package that is not
+    """Raises TautError where the format does not take this source or these options, or needs a package that is not
     installed."""
     if source.kind not in form.takes:
         raise TautError(f"{source.name}: is {source.kind}: --to {form.name} takes {' or '.join(form.takes)}")

@@ -19,18 +19,18 @@ _DIGITS = 6  # format: after the point: a millionth of the unit
 
 def write(model: Model, out: Path, joint: str) -> list[Path]:
     """Writes the compensation table to `out`, and the lines for the INI section of `joint` (a number as text) to
-    OUT.ini. Returns both. LinuxCNC moves the motor to nominal + (nominal - forward) while the joint rises and to
-    nominal + (nominal - reverse) while it falls. The nominal joint is where f_coarse has the motor for an angle, so
-    that the columns hold f_remain and B at once. Comments stand behind the triplets, as LinuxCNC stops reading at the
-    first other line."""
+    OUT.ini; returns both paths. LinuxCNC moves the motor to nominal + (nominal - forward) while the joint rises, and to
+    nominal + (nominal - reverse) while it falls. The nominal position is where f_coarse has the motor for an angle, so
+    that the columns hold f_remain and B at once. TautError where `joint` is no number."""
     if not (joint.isascii() and joint.isdigit()):
         raise TautError(f"--axis {joint}: LinuxCNC numbers its joints: name 0, 1, 2, ...")
     nominal, rising, falling = targets(model)
-    digits = [
+    lines = [  # nominal, forward, reverse
         f"{x:.{_DIGITS}f} {2 * x - up:.{_DIGITS}f} {2 * x - down:.{_DIGITS}f}"
         for x, up, down in zip(nominal, rising, falling, strict=True)
     ]
     unit = model.rig.actuator.unit
+    # Comments come last: LinuxCNC stops reading at the first line that is no triplet.
     says = [
         "",
         f"; nominal, forward and reverse, {unit}: COMP_FILE_TYPE = 0. Nominal is the bending angle as f_coarse has it,",
@@ -46,15 +46,15 @@ def write(model: Model, out: Path, joint: str) -> list[Path]:
     ]
     beside = out.with_name(out.name + ".ini")
     with whole_file(out) as file, whole_file(beside) as section:
-        file.write_text("\n".join([*digits, *says]) + "\n", encoding="ascii")
+        file.write_text("\n".join([*lines, *says]) + "\n", encoding="ascii")
         section.write_text("\n".join(ini) + "\n", encoding="utf-8")  # a file's name may be of any letters
     return [out, beside]
 
 
 def targets(model: Model) -> tuple[Array, Array, Array]:
-    """The table's columns, unit of q, (n,) each, n at most MOST: nominal joint positions, rising, and the motor's
-    positions that reach them on the way up and on the way down. Only where the motor stays within its range. TautError
-    where no such table is possible."""
+    """The columns of the table, unit of q, (n,) each with n at most MOST: nominal joint positions, rising, and the
+    motor positions that reach them while the joint rises and while it falls. It ends where the motor would leave its
+    range. TautError where no such table is possible."""
     coarse, (low, high) = model.rig.coarse, model.rig.actuator.range
     if not coarse.gain:
         raise TautError("the rig's coarse.gain is 0: LinuxCNC's table needs a nominal position for each angle")
@@ -71,7 +71,7 @@ def targets(model: Model) -> tuple[Array, Array, Array]:
 
 
 def loses(model: Model) -> list[str]:
-    """What of a model the table does not hold, a line each, for file and terminal."""
+    """What the table does not hold of a model, a line each, for file and terminal."""
     lost = [
         "LinuxCNC may exceed the joint's speed and acceleration by half of them while it takes the backlash up",
         f"{len(targets(model)[0])} points stand for {len(model.q)}, straight between them",
@@ -83,8 +83,8 @@ def loses(model: Model) -> list[str]:
 
 
 def _in_tables(effect: str) -> bool:
-    """Whether a corrected model holds the effect with this id in its own tables, rig or delay, so that nothing is lost;
-    False for an unknown id."""
+    """Whether a corrected model holds the effect with this id in its own tables, rig or delay, so that an export does
+    not lose it; False for an unknown id."""
     from tautline.effects import BY_ID
 
     kind = BY_ID.get(effect)

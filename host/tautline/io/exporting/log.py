@@ -58,7 +58,8 @@ class Log:
 
     @property
     def first_frame_s(self) -> float:
-        """Arrival time of the video's first frame, s; infinity without a frame."""
+        """Arrival time of the video's first frame, s; 0 where its frames have only the container's times, infinity
+        without a video or a frame with a time."""
         if self.video is None:
             return np.inf
         if self.video.arrival_s is None:
@@ -66,7 +67,8 @@ class Log:
         return float(np.min(self.video.arrival_s, initial=np.inf, where=np.isfinite(self.video.arrival_s)))
 
     def frames(self) -> Iterator[tuple[float, bytes]]:
-        """Yields arrival time, s, and JPEG bytes of each of the video's frames that has a time."""
+        """Yields the arrival time, s, and the JPEG of each frame of the video that has a time; nothing without a video.
+        Without a list of arrival times they are the container's."""
         if self.video is None:
             return
         import cv2
@@ -86,8 +88,8 @@ class Log:
 
 
 def of_source(source: Source) -> Log:
-    """The log of a source: a recording's series with its models' predictions, a model's evidence, B and f_remain, a
-    diagnosis' document. TautError where there is nothing."""
+    """The log of a source: a recording's series and its models' predictions; a model's evidence; B and f_remain of all
+    models; a diagnosis' document among the facts. TautError where this gives neither a series nor a curve."""
     unit = source.rig.actuator.unit
     facts: dict[str, Any] = {"name": source.name, "is": source.kind, "unit_of_q": unit, "seconds": "arrival times"}
     series: list[Series] = []
@@ -138,8 +140,9 @@ def _recorded_series(recording: Recording, unit: str) -> list[Series]:
 
 
 def _predicted_series(recording: Recording, name: str, model: Model, unit: str) -> list[Series]:
-    """Series of a model's prediction for a recording, at the sensor's arrival times, or without a sensor at those that
-    the motor's times would have; and of the residual of each of STAGES. name: the model's; unit: of q."""
+    """Series of a model's prediction for a recording, and, where that has a marker or an angle, of the residual of each
+    of STAGES. Their times are the sensor's arrival times; without a sensor those at which the motor's times would
+    arrive, the model's delay later. name: the model's; unit: of q."""
     marker, angle, motor = recording.marker, recording.angle, recording.motor
     by_marker = marker is not None and (model.rig.has_camera or angle is None)
     rows = marker if by_marker else angle
@@ -170,8 +173,8 @@ def _predicted_series(recording: Recording, name: str, model: Model, unit: str) 
 
 
 def _residual(seen: Marker | Angle, predicted: Prediction) -> dict[str, Array]:
-    """Columns, by name, of what a sensor saw less what was predicted at the same times; {} for a marker of which
-    nothing in the image is predicted."""
+    """What a sensor saw less what was predicted at the same times, as columns by name, px or deg; {} for a marker where
+    the prediction has no image positions."""
     if isinstance(seen, Angle):
         return {"c_deg": seen.c_deg - predicted.c_deg}
     if predicted.image_px is None:
@@ -180,7 +183,7 @@ def _residual(seen: Marker | Angle, predicted: Prediction) -> dict[str, Array]:
 
 
 def _stages(model: Model) -> list[tuple[str, Model]]:
-    """(name, model) for each of STAGES: f_coarse without B, f_coarse with B, both without effects; and the whole
+    """(name, model) for each of STAGES: f_coarse without B, f_coarse with B (both without effects), and the whole
     model."""
     coarse = model.rig.coarse.gain * model.q + model.rig.coarse.offset
     bare = replace(model, c_deg=coarse, effects=())
@@ -217,8 +220,8 @@ def _rows_in_order(order: npt.NDArray[np.int64], columns: dict[str, Array]) -> d
 
 
 def _onset_series(source: Source, unit: str) -> Series | None:
-    """A series of the onsets in the first model of a source; None where there are none. Their times are of their own
-    recordings' clocks: with a recording only those go that are of it. unit: of q."""
+    """A series of the onsets that the calibration of a source's first model found; None without any. Their times are on
+    their own recordings' clocks, so a source that is no model gets only those of its own recording. unit: of q."""
     model = source.models[0][1]
     listed = [onset for onset in model.extra.get("onsets", []) if onset.get("t_s") is not None]
     if source.kind != MODEL:
@@ -237,7 +240,8 @@ def _onset_series(source: Source, unit: str) -> Series | None:
 
 
 def _model_curves(name: str, model: Model, unit: str) -> list[Curve]:
-    """The curves of a model: B and f_remain over q, with their sigmas. name: the model's; unit: of q."""
+    """The two curves of a model: B and f_remain over q, each with its sigma, NaN where that is not known. name: the
+    model's; unit: of q."""
     sigma = np.full_like(model.q, np.nan) if model.c_sigma is None else model.c_sigma
     q = {f"q_{unit}": model.q}
     return [

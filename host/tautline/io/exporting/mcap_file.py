@@ -36,9 +36,9 @@ _IMAGE = {
 
 
 def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
-    """Writes a log as the MCAP file `out`, and a layout for Foxglove beside it; returns both. Messages have the log's
-    own times, all shifted if the first is negative, so that it becomes 0. progress: gets the share done, 0 to 1, and a
-    word. TautError for times that MCAP cannot hold."""
+    """Writes a log as the MCAP file `out`, and a layout for Foxglove beside it; returns both paths. Messages have the
+    log's own times; if the first one is negative, all are shifted so that it becomes 0. A curve is one message at the
+    first time. progress: gets the share done, 0 to 1, and a word. TautError for times that MCAP cannot hold."""
     from mcap.writer import Writer
 
     first = min((float(series.t_s[0]) for series in log.series if len(series.t_s)), default=0.0)
@@ -71,7 +71,7 @@ def _write_frames(writer: Any, log: Log, shift_s: float) -> Iterator[float]:
     schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", json.dumps(_IMAGE).encode())
     channel = writer.register_channel(CAMERA, "json", schema)
     for t_s, jpeg in log.frames():
-        when = _ns(t_s + shift_s)
+        when = _nanoseconds(t_s + shift_s)
         message = {
             "timestamp": {"sec": when // _NS, "nsec": when % _NS},
             "frame_id": "camera",
@@ -82,40 +82,41 @@ def _write_frames(writer: Any, log: Log, shift_s: float) -> Iterator[float]:
         yield t_s
 
 
-def _ns(t_s: float) -> int:
+def _nanoseconds(t_s: float) -> int:
     """A time in s as MCAP has it, ns."""
     return round(t_s * _NS)
 
 
 def _write_series(writer: Any, series: Series, shift_s: float) -> None:
-    """Writes a series into an MCAP (mcap's writer) as a channel of its own, a message for each row; shift_s is added to
-    its times."""
+    """Writes a series into an MCAP (with mcap's Writer) as a channel of its own: a message for each row, null where a
+    column has nothing. shift_s is added to its times."""
     names = list(series.columns)
     number = {"type": ["number", "null"]}
     schema = {"type": "object", "description": series.says, "properties": dict.fromkeys(names, number)}
-    channel = _channel(writer, series.name, schema)
+    channel = _register_channel(writer, series.name, schema)
     rows = np.column_stack([series.columns[name] for name in names])
     complete = np.isfinite(rows.sum(axis=1))
     for t_s, row, whole_row in zip(series.t_s.tolist(), rows.tolist(), complete.tolist(), strict=True):
-        when = _ns(t_s + shift_s)
+        when = _nanoseconds(t_s + shift_s)
         message = dict(zip(names, row, strict=True))
         writer.add_message(channel, when, json.dumps(message if whole_row else plain(message)).encode(), when)
 
 
 def _write_curve(writer: Any, curve: Curve, t_s: float) -> None:
-    """Writes a curve into an MCAP as a channel with one message that holds the whole columns, at the time t_s."""
+    """Writes a curve into an MCAP (with mcap's Writer) as a channel with one message, at the time t_s, that holds whole
+    columns."""
     numbers = {"type": "array", "items": {"type": ["number", "null"]}}
     schema = {
         "type": "object",
         "description": curve.says,
         "properties": dict.fromkeys(curve.columns, numbers),
     }
-    channel = _channel(writer, curve.name, schema)
+    channel = _register_channel(writer, curve.name, schema)
     message = json.dumps(plain(curve.columns), allow_nan=False)
-    writer.add_message(channel, _ns(t_s), message.encode(), _ns(t_s))
+    writer.add_message(channel, _nanoseconds(t_s), message.encode(), _nanoseconds(t_s))
 
 
-def _channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
+def _register_channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
     """Registers a channel /NAME of JSON messages with this schema; returns its number."""
     title = "tautline." + name.replace("/", ".")
     number = writer.register_schema(title, "jsonschema", json.dumps({"title": title, **schema}).encode())
@@ -126,8 +127,8 @@ def _channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
 
 
 def foxglove_layout(log: Log) -> dict[str, Any]:
-    """A layout for Foxglove, which a user imports there: panels of the picture, motor, angle, image coordinates and
-    residual over time, B and f_remain over q. Panels that would stay empty are left out."""
+    """A layout for Foxglove, as the JSON object that a user imports there. Its panels: the picture; motor, angle, image
+    coordinates and residual over time; B and f_remain over q. Panels that would stay empty are left out."""
     panels: dict[str, dict[str, Any]] = {}
     if log.video is not None:
         panels["Image!camera"] = {"imageMode": {"imageTopic": CAMERA}}
@@ -183,8 +184,8 @@ def _plot_panel(
 
 
 def _tiled_layout(panels: list[str], direction: str) -> Any:
-    """Foxglove's layout tree of panels, by their ids: split in halves again and again, as rows and columns in turn;
-    direction: of the first split."""
+    """Foxglove's layout tree of panels, given by their ids: they are halved again and again, as a row and a column in
+    turn. direction: of the first split, row or column. "" without panels."""
     if len(panels) <= 1:
         return panels[0] if panels else ""
     half = (len(panels) + 1) // 2

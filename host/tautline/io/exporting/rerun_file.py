@@ -16,7 +16,7 @@ _PLACES = 1e6  # format: steps of the timeline "q" in a unit of q: it counts in 
 
 
 def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
-    """Writes a log as the rerun recording `out` and returns that. Times are the log's own, as durations; curves are on
+    """Writes a log as the rerun recording `out` and returns [out]. Times are the log's own, as durations; curves are on
     a timeline of their own, q in millionths of its unit. progress: gets the share done, 0 to 1, and a word."""
     import rerun as rr
 
@@ -43,8 +43,8 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
 
 
 def _send_series(recording: Any, series: Series, with_places: bool) -> None:
-    """Adds the columns of a series to a rerun.RecordingStream, NaN left out. with_places: there is a video, on which
-    the series' places in the image, if it has any, are drawn as points."""
+    """Adds the columns of a series to a rerun.RecordingStream as curves over time, without NaN. with_places: there is a
+    video, on which the series' image coordinates, if it has any and is no residual, are drawn as points."""
     import rerun as rr
 
     for name, values in series.columns.items():

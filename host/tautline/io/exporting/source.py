@@ -36,14 +36,16 @@ class Source:
 
     @property
     def model(self) -> Model:
-        """The model that is exported where a format takes one: of a diagnosis the corrected one."""
+        """The model that a format exports if it takes one: of a diagnosis the corrected one. The source needs to have a
+        model."""
         return self.models[-1][1]
 
 
 def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Source:
-    """Reads the source in a folder, by what the folder holds. rig, beside: for a recording alone; `rig` wins over its
-    own, `beside` is the folder of a MODEL or DIAGNOSIS whose predictions are exported with it. TautError where the
-    folder is none of the three."""
+    """Reads the recording, model or diagnosis in a folder as a source, by what files the folder holds. For a recording
+    alone: `rig` is taken instead of its own, `beside` is the folder of a model or a diagnosis whose predictions are
+    exported with it. TautError where the folder is none of the three, or `rig` or `beside` go with another than a
+    recording."""
     if not path.exists():
         raise TautError(f"{path}: there is no such folder: name a recording, a model or a diagnosis")
     if not path.is_dir():
@@ -63,7 +65,8 @@ def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Sour
 
 
 def of(what: Recording | Model | Diagnosis, beside: Model | None = None) -> Source:
-    """The source for an object in memory. beside: for a recording, the model whose predictions are exported with it."""
+    """The source for an object in memory. beside: for a recording, the model whose predictions are exported with it;
+    unused for others."""
     if isinstance(what, Recording):
         return of_recording(what, None, of_model(beside) if beside is not None else None)
     if isinstance(what, Model):
@@ -72,8 +75,9 @@ def of(what: Recording | Model | Diagnosis, beside: Model | None = None) -> Sour
 
 
 def of_recording(recording: Recording, rig: Rig | None = None, beside: Source | None = None) -> Source:
-    """A recording as a source, with the models of `beside`, if any, whose predictions are exported with it. rig:
-    default the recording's, else the models'. TautError where there is none, or units differ."""
+    """A recording as a source, with the models of `beside`, if any, whose predictions are exported with it. rig: None
+    takes the recording's, or else that of `beside`. TautError where there is no rig, their units of q differ, or
+    `beside` has no model."""
     if beside is not None and not beside.models:
         raise TautError("what goes with a recording is a model or a diagnosis, not another recording")
     used = rig or recording.rig or (beside.rig if beside else None)
@@ -102,7 +106,7 @@ def of_diagnosis(nominal: Model, corrected: Model, document: dict[str, Any], nam
 
 
 def _read_diagnosis(path: Path) -> Source:
-    """Reads a diagnosis' folder as a source: both models and diagnosis.json. TautError where that is damaged or of
+    """Reads a diagnosis' folder as a source: both models and diagnosis.json. TautError where that file is damaged or of
     another format."""
     file = path / DIAGNOSIS_FILE
     try:

@@ -15,7 +15,7 @@ from tautline.io.importing import clocks, video
 from tautline.io.importing.listing import Progress, Rows, find, read
 from tautline.io.importing.source import Array, Clip, Source, origin_of
 from tautline.io.importing.tip import QUATERNION, bending_deg
-from tautline.io.importing.units import ANGLES, SPOKEN, Named, factor, named, suspected, unit_in
+from tautline.io.importing.units import ANGLES, SPOKEN, Named, factor, parse_channel, suspected_unit, unit_in
 from tautline.layouts import MOTOR
 from tautline.recording import FARTHEST, MAX_MOTOR_GAP_S, MAX_MOTOR_STEP_S, Angle, Marker, Motor, Recording, Video
 from tautline.rig import Actuator, AngleSensor, Coarse, Rig
@@ -69,11 +69,12 @@ def assemble(
     times = {group: (each.log_s, each.stamp_s) for group, each in rows.items()}
     if frames is not None and roles.video is not None and "" not in rows:  # a table's clip is on the table's times
         times[roles.video] = (frames[0], frames[1])
+    # All parts go on one clock, and their times are counted from the first of them if they are an epoch's.
     clock = clocks.choose(times)
     warnings = list(clock.warnings)
     origin_s = origin_of(clocks.first_s(times, clock.used))
     made = _Maker(chosen, rows, clock.used, origin_s, warnings)
-    target = rig.actuator.unit if rig else unit or made.dimension(chosen.motor)
+    target = rig.actuator.unit if rig else unit or made.target_unit(chosen.motor)
     motor = made.motor(target)
     marker = angle = None
     if len(chosen.tip) == 2:
@@ -84,9 +85,9 @@ def assemble(
     _check_motor(motor, chosen.motor.name, rig, warnings)
     tip = marker or angle
     if tip is not None:
-        clocks.overlap(motor.t_s, tip.t_s, roles.motor, "".join(roles.tip[:1]))
+        clocks.check_overlap(motor.t_s, tip.t_s, roles.motor, "".join(roles.tip[:1]))
     if seen is not None and seen.arrival_s is not None:
-        clocks.overlap(motor.t_s, seen.arrival_s[np.isfinite(seen.arrival_s)], roles.motor, roles.video or "")
+        clocks.check_overlap(motor.t_s, seen.arrival_s[np.isfinite(seen.arrival_s)], roles.motor, roles.video or "")
     _check_units(chosen, motor, angle, target, rig, warnings)
     own = rig or _rig_from_motion(motor, angle, target)
     recording = Recording(source.path.stem, motor, marker, angle, seen, own)
@@ -97,20 +98,23 @@ class _ChosenChannels:
     """The channels of the user's roles, by their names in the source."""
 
     def __init__(self, source: Source, episode: int, roles: Roles) -> None:
-        """Finds the channels in an episode. TautError where a name means none, or several where one is needed."""
+        """Finds the channels of the roles in an episode. TautError where a name means no channel, or several where one
+        is needed."""
         listed = list(source.facts)
         asked = {
             "motor": [roles.motor], "tip": roles.tip, "command": [roles.command] if roles.command else [],
             "load": [roles.load] if roles.load else [], "joint": roles.joints,
         }  # fmt: skip
-        texts = [named(text, listed) for each in asked.values() for text in each]
+        texts = [parse_channel(text, listed) for each in asked.values() for text in each]
         found = find(source, episode, [each.name for each in texts])
         self.source = source
         self.groups = {found[each.name][0]: found[each.name][1] for each in texts}
 
         def of(role: str) -> list[Named]:
             """The role's channels by their names in the source, with unit or factor as the user gave them."""
-            return [Named(found[n.name][0], n.unit, n.factor) for n in (named(text, listed) for text in asked[role])]
+            return [
+                Named(found[n.name][0], n.unit, n.factor) for n in (parse_channel(text, listed) for text in asked[role])
+            ]
 
         self.motor, self.tip = of("motor")[0], of("tip")
         self.command = next(iter(of("command")), None)
@@ -123,9 +127,9 @@ class _ChosenChannels:
         self._expand_tip()
 
     def _expand_tip(self) -> None:
-        """Replaces, in the role tip, the name of an orientation or a point by its channels. TautError for the name of
-        any other group of channels, more than u and v, or a unit that an orientation or a place in the image cannot
-        have."""
+        """Where the tip is named as a group of channels: an orientation stays and its four channels go into `parts`; a
+        point becomes its channels x and y. TautError for any other group, for more than two channels, or for a unit
+        that an orientation (other than deg) or a place in the image cannot have."""
         known = set(self.source.facts)
         for each in list(self.tip):
             inner = {axis: f"{each.name}.{axis}" for axis in QUATERNION if f"{each.name}.{axis}" in known}
@@ -151,7 +155,7 @@ class _ChosenChannels:
         return TautError(f"{self.source.path}: {each.name} is several channels: name one of {', '.join(held[:6])}")
 
     def by_group(self) -> dict[str, list[str]]:
-        """The channels to read, by group (topic)."""
+        """The names of the channels to read, by their group (topic), each once."""
         wanted: dict[str, list[str]] = {}
         everything = [self.motor, *self.tip, *self.joints, *(x for x in (self.command, self.load) if x)]
         for each in everything:
@@ -159,38 +163,38 @@ class _ChosenChannels:
             wanted.setdefault(self.groups[each.name], []).extend(names)
         return {group: list(dict.fromkeys(names)) for group, names in wanted.items()}
 
-    def stated(self, channel: Named) -> str:
+    def stated_unit(self, channel: Named) -> str:
         """A channel's unit, of units.UNITS: the user's, else the file's, else the one in its label or name; "" where
-        none is known."""
+        none of them says one."""
         fact = self.source.facts.get(channel.name)
         said = (fact.unit or unit_in(fact.label)) if fact else ""
         return channel.unit or said or unit_in(channel.name)
 
 
 class _Maker:
-    """Turns a source's rows into the parts of a recording, all on one clock; `told` gets what became of each channel,
-    for import.toml."""
+    """Turns a source's rows into the parts of a recording, all on one clock. `told` gets an entry on each channel that
+    was used, for import.toml."""
 
     def __init__(
         self, chosen: _ChosenChannels, rows: dict[str, Rows], clock: str, origin_s: float, warnings: list[str]
     ) -> None:
-        """rows: by group, or first channel of a part of one; clock: which times are used (LOG, STAMP or FILE);
-        origin_s: what is taken off them; warnings: are added to."""
+        """rows: by group, or by the first channel of a part of a group (see `listing.read`); clock: which times are
+        used (LOG, STAMP or FILE); origin_s: what is subtracted from them; warnings: new ones are added to this list."""
         self._chosen, self._rows, self._warnings = chosen, rows, warnings
         self._clock, self._origin_s = clock, origin_s
         self.told: list[dict[str, Any]] = []
         # Times, s, and the rows that have them, None for all.
         self._times_by_group: dict[str, tuple[Array, Array | None]] = {}
 
-    def dimension(self, channel: Named) -> str:
-        """The unit in which a recording is to have a channel: "mm" where its own unit is known to be a length, else
+    def target_unit(self, channel: Named) -> str:
+        """The unit that a recording has a channel in: "mm" where the channel's own unit is known to be a length, else
         "deg"."""
-        stated = self._chosen.stated(channel)
+        stated = self._chosen.stated_unit(channel)
         return "mm" if stated and stated not in ANGLES and factor_fits(channel, stated, "mm") else "deg"
 
     def motor(self, target: str) -> Motor:
-        """The motor's log from its channels, q in the unit `target`. Command, load and joints are brought to the times
-        of q: a command is held until the next one, the others go straight between their rows."""
+        """The motor's log from its channels, q in the unit `target`. Command, load (mNm) and joints are brought to the
+        times of q: a command is held until the next one, the others are interpolated linearly."""
         t_s, q = self._series(self._chosen.motor, target, "motor")
         q_cmd = load = None
         if (command := self._chosen.command) is not None:
@@ -201,7 +205,7 @@ class _Maker:
             load = np.interp(t_s, at, value)
         joints: dict[str, Array] = {}
         for joint in self._chosen.joints:
-            own = self.dimension(joint)
+            own = self.target_unit(joint)
             at, value = self._series(joint, own, "joint")
             joints[_joint_column(joint, self._chosen.source, own, {*joints, *_reserved_columns(target)})] = np.interp(
                 t_s, at, value
@@ -209,8 +213,9 @@ class _Maker:
         return Motor(t_s=t_s, q=q, q_cmd=q_cmd, load_mNm=load, extra=joints)
 
     def angle(self) -> Angle:
-        """The tip's angle, deg, from its channel, or from an orientation's four (see `bending_deg`). Rows without a
-        number are not valid."""
+        """The tip's angle, deg, from its channel, or from an orientation's four channels (see `bending_deg`) and then
+        times the user's factor. Rows without a number are not valid, which is added to the warnings. TautError where
+        there is no number."""
         tip = self._chosen.tip[0]
         if tip.name in self._chosen.parts:
             t_s, parts = self._times(tip, self._chosen.parts[tip.name])
@@ -232,8 +237,8 @@ class _Maker:
         return Angle(t_s, c_deg, ~lost if lost.any() else None)
 
     def marker(self) -> Marker:
-        """The tip's place in the image, px, from its channels u and v; NaN and not valid where a row lacks one of
-        them."""
+        """The tip's place in the image, px, from its channels u and v; where a row lacks one of them both are NaN and
+        it is not valid. TautError where the two are of different topics, or hold no number."""
         u, v = self._chosen.tip
         if self._chosen.groups[u.name] != self._chosen.groups[v.name]:
             raise TautError(f"{u.name} and {v.name} are of two topics: name u and v of one")
@@ -246,12 +251,13 @@ class _Maker:
         return Marker(t_s, np.where(valid, u_px, np.nan), np.where(valid, v_px, np.nan), valid)
 
     def recorded_video(self, frames: tuple[Array, Array | None, Path] | None, name: str) -> Video | None:
-        """The video with its frames' arrival times, s by the clock in use, NaN for a frame whose time is not later than
-        all before it; None without frames. frames: as of `_write_video`; name: its channel, for import.toml."""
+        """The video with its frames' arrival times, s by the clock in use. A frame whose time is not later than those
+        of all frames before it gets NaN, with a warning. None without frames. frames: as of `_write_video`; name: its
+        channel, for import.toml."""
         if frames is None:
             return None
         log_s, stamp_s, path = frames
-        t_s = clocks.in_use(log_s, stamp_s, self._clock) - self._origin_s
+        t_s = clocks.times_by_clock(log_s, stamp_s, self._clock) - self._origin_s
         highest = np.maximum.accumulate(np.where(np.isfinite(t_s), t_s, -np.inf))
         late = np.concatenate([[False], t_s[1:] <= highest[:-1]])
         if late.any():
@@ -263,11 +269,11 @@ class _Maker:
         return Video(path, t_s)
 
     def _series(self, channel: Named, target: str, role: str, keep_lost: bool = False) -> tuple[Array, Array]:
-        """A channel's times, s, and values in the unit `target`, (n,) each. Rows without a number are left out, or with
-        keep_lost stay as NaN. role: for messages and import.toml. TautError where there are no numbers, or too few of
-        the motor."""
+        """A channel's times, s, and its values in the unit `target`, (n,) each; notes the channel's use in `told`. Rows
+        without a number are left out, with a warning; keep_lost keeps them as NaN. role: for messages and import.toml.
+        TautError where there are no numbers, or more than _MOST_LOST of the motor's rows have none."""
         t_s, (values,) = self._times(channel, (channel.name,))
-        times, unit = factor(channel, self._chosen.stated(channel), target)
+        times, unit = factor(channel, self._chosen.stated_unit(channel), target)
         finite = np.isfinite(values)
         lost = int((~finite).sum())
         if not finite.any():
@@ -284,8 +290,8 @@ class _Maker:
         return t_s, values if times == 1.0 else values * times
 
     def _times(self, channel: Named, names: tuple[str, ...]) -> tuple[Array, list[Array]]:
-        """The times of a channel's group, s, rising, and the values of some channels of this group (`names`) at them,
-        (n,) each. TautError where the group has no rows."""
+        """The rising times of a channel's group, s, and the values at these times of the channels `names`, all of this
+        group, (n,) each. TautError where the group has no rows."""
         group = next((group for group, rows in self._rows.items() if rows.values.keys() >= set(names)), None)
         if group is None:
             raise TautError(f"{self._chosen.source.path}: {channel.name} has no rows: choose another --episode")
@@ -296,16 +302,16 @@ class _Maker:
         return t_s, [rows.values[name] if kept is None else rows.values[name][kept] for name in names]
 
     def _usable_times(self, group: str, rows: Rows) -> tuple[Array, Array | None]:
-        """A group's times by the clock in use, s, made to rise by leaving rows out; and the indices of the rows that
-        are kept, None for all."""
-        t_s = clocks.in_use(rows.log_s, rows.stamp_s, self._clock) - self._origin_s
-        kept = clocks.tidy(t_s, group or str(self._chosen.source.path), self._warnings)
+        """A group's times by the clock in use, s since the origin, made to rise by sorting rows and leaving some out;
+        and the indices of the rows kept, in that order, None where all are as they were."""
+        t_s = clocks.times_by_clock(rows.log_s, rows.stamp_s, self._clock) - self._origin_s
+        kept = clocks.rows_in_time_order(t_s, group or str(self._chosen.source.path), self._warnings)
         whole = len(kept) == len(t_s) and bool(np.all(kept[1:] > kept[:-1]))
         return np.round(t_s if whole else t_s[kept], _TIME_DIGITS), None if whole else kept
 
     def _record_use(self, role: str, channel: Named, rows: int, unit: str, times: float | None) -> None:
-        """Adds an entry on a channel to `told`. rows: how many were taken; unit: that they are in; times: the factor
-        that they were multiplied with, None without."""
+        """Adds an entry on a channel to `told`. rows: how many of its rows were taken; unit: of its numbers, "" where
+        nobody said one; times: the factor that they were multiplied by, None for none."""
         fact = self._chosen.source.facts.get(channel.name)
         entry = {"role": role, "name": channel.name, "label": fact.label if fact else "", "rows": rows}
         entry |= {"unit": unit or "not said", "factor": times}
@@ -313,8 +319,8 @@ class _Maker:
 
 
 def factor_fits(channel: Named, stated: str, target: str) -> bool:
-    """Whether a channel's numbers can be converted to the unit `target` (see units.factor, which raises where not).
-    stated: their unit by the file, "" without; a unit that the user gave with the name comes first."""
+    """Whether a channel's numbers can be converted to the unit `target` (units.factor raises where not). stated: their
+    unit by the file, "" without; a unit that the user gave with the channel's name is taken instead."""
     try:
         factor(channel, stated, target)
     except TautError:
@@ -324,7 +330,7 @@ def factor_fits(channel: Named, stated: str, target: str) -> bool:
 
 def _write_video(source: Source, episode: int, name: str, scratch: Path) -> tuple[Array, Array | None, Path]:
     """Writes the video of an episode's channel `name` into the folder `scratch`. Returns its frames' log times (n,) s,
-    their stamps (n,) s (None if no sender set any), and its path."""
+    their stamps (n,) s (None if no sender set any, and for a part of a video file), and its path."""
     found = source.pictures(episode, name)
     if isinstance(found, Clip):
         path = scratch / f"video{'.mkv' if found.path.suffix == '.mkv' else '.mp4'}"
@@ -337,32 +343,29 @@ def _write_video(source: Source, episode: int, name: str, scratch: Path) -> tupl
 def _check_units(
     chosen: _ChosenChannels, motor: Motor, angle: Angle | None, target: str, rig: Rig | None, warnings: list[str]
 ) -> None:
-    """Checks units by how far the channels move beside each other: a ratio of 57.3 means radians, 1000 metres. A
-    contradiction is a TautError where nobody stated the unit, else a warning. target: unit of q."""
+    """Checks units by how far command and tip move beside the motor: a ratio of 57.3 means radians, one of 1000 metres.
+    A contradiction is a TautError where nobody stated the wrong channel's unit, else it is added to `warnings`. Nothing
+    is checked where the motor rests nearly always. target: unit of q. TautError where the motor does not move at
+    all."""
     if np.ptp(motor.q) <= 0.0:
         raise TautError(f"{chosen.motor.name}: does not move: name another --motor")
     if (span := _span(motor.q)) <= 0.0:
         return  # it rests nearly always: no ratio tells anything
-    # Beside the motor: option, channel, its values and their unit, the span that they should have, how far off that is.
-    pairs: list[tuple[str, Named, Array, str, float, float]] = []
-    if motor.q_cmd is not None and chosen.command is not None:
-        pairs.append(("--command", chosen.command, motor.q_cmd, target, span, _SURE))
-    if angle is not None and rig is not None:
-        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span * abs(rig.coarse.gain), _BY_RIG))
-    elif angle is not None and target == "deg":
-        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span, _ANY_GAIN))
-    for option, partner, values, unit_of_values, expected, off in pairs:
+    for option, partner, values, unit_of_values, expected, off in _motions_beside_motor(
+        chosen, motor, angle, target, rig, span
+    ):
         if (seen := _span(values)) <= 0.0:
             continue
+        # Either of the two channels may be the one whose unit is wrong.
         for role, wrong, raw, ratio, base in (
             (option, partner, values, expected / seen, unit_of_values),
             ("--motor", chosen.motor, motor.q, seen / expected, target),
         ):
-            if not (unit := suspected(ratio, raw, base, off)):
+            if not (unit := suspected_unit(ratio, raw, base, off)):
                 continue
             moves = f"{ratio:.4g} times less" if ratio > 1.0 else f"{1.0 / ratio:.4g} times more"
             says = f"{wrong.name} moves {moves} than {(chosen.motor if wrong is partner else partner).name} tells"
-            if chosen.stated(wrong) or wrong.factor is not None:
+            if chosen.stated_unit(wrong) or wrong.factor is not None:
                 warnings.append(f"{says}: is it in {SPOKEN[unit]}?")
                 continue
             raise TautError(
@@ -371,9 +374,26 @@ def _check_units(
             )
 
 
+def _motions_beside_motor(
+    chosen: _ChosenChannels, motor: Motor, angle: Angle | None, target: str, rig: Rig | None, span: float
+) -> list[tuple[str, Named, Array, str, float, float]]:
+    """The motions whose span tells of units beside the motor's: the command's, and the tip's where a gain is known or
+    both are in deg. Each is (option, channel, its values (n,), their unit, the span that they should have in that unit,
+    the share by which the ratio may be off). target: unit of q; span: of the motor, in that unit."""
+    pairs: list[tuple[str, Named, Array, str, float, float]] = []
+    if motor.q_cmd is not None and chosen.command is not None:
+        pairs.append(("--command", chosen.command, motor.q_cmd, target, span, _SURE))
+    if angle is not None and rig is not None:
+        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span * abs(rig.coarse.gain), _BY_RIG))
+    elif angle is not None and target == "deg":
+        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span, _ANY_GAIN))
+    return pairs
+
+
 def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) -> None:
-    """TautError, or a warning, for a motor's log that loading the recording would refuse or doubt: too slow, with gaps,
-    or far beyond the rig's range. name: its channel."""
+    """Raises TautError for a motor's log that loading the recording would refuse: rows too far apart, gaps, or far
+    beyond the rig's range. A position beyond that range by more than its width is added to `warnings`. name: the
+    motor's channel."""
     step = np.diff(motor.t_s)
     if (usual := float(np.median(step))) >= MAX_MOTOR_STEP_S:
         raise TautError(
@@ -395,8 +415,9 @@ def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) 
 
 
 def _rig_from_motion(motor: Motor, angle: Angle | None, unit: str) -> Rig:
-    """A rig made from what a recording shows, where the user named none: the motor's range and smallest step, and the
-    coarse law by least squares (c = q without an angle). unit: of q."""
+    """The rig that a recording itself shows, for a user who named none: the motor's range, rounded outwards, its
+    smallest step as the encoder's, and the coarse law by least squares (c = q without an angle, or where that fails).
+    unit: of q."""
     low, high = float(motor.q.min()), float(motor.q.max())
     step = 10.0 ** (np.ceil(np.log10(high - low)) - _RANGE_DIGITS)
     low, high = (float(f"{side(end / step) * step:.10g}") for side, end in ((np.floor, low), (np.ceil, high)))
@@ -417,8 +438,8 @@ def _rig_from_motion(motor: Motor, angle: Angle | None, unit: str) -> Rig:
 
 
 def _encoder_step(q: Array) -> float:
-    """The encoder's resolution, unit of q, from positions (n,): the 5th percentile of the differences between values
-    that occur, as a few may be finer."""
+    """The encoder's resolution, unit of q, from positions (n,): the 5th percentile of the differences between
+    neighbouring values that occur, as a few of them may be smaller. At least _RESOLUTION_LEAST of the span."""
     values = np.unique(q[:: max(1, len(q) // _SAMPLED)])
     steps = np.diff(values)
     least = _RESOLUTION_LEAST * (values[-1] - values[0])
@@ -433,13 +454,14 @@ def _span(values: Array) -> float:
 
 
 def _reserved_columns(unit: str) -> set[str]:
-    """The names of motor.csv's columns that a joint must not take, as a column of the motor would be lost.
-    translation_mm and rotation_deg are left for joints, as they are motions of the instrument. unit: of q."""
+    """The names of motor.csv's columns that a joint's column must not have, as it would replace the motor's own.
+    translation_mm and rotation_deg are not among them: a joint may be that motion of the instrument. unit: of q."""
     return set(MOTOR.names(unit)) - {"translation_mm", "rotation_deg"}
 
 
 def _joint_column(channel: Named, source: Source, unit: str, taken: Collection[str]) -> str:
-    """The name of a joint's column in motor.csv, LABEL_UNIT or CHANNEL_UNIT, with a number if that is `taken`."""
+    """The name of a joint's column in motor.csv: LABEL_UNIT, or CHANNEL_UNIT without a label; a number goes before the
+    unit where that name is in `taken`."""
     label = source.facts[channel.name].label if channel.name in source.facts else ""
     plain = "".join(c if c.isalnum() else "_" for c in (label or channel.name)).strip("_")
     plain = plain.removesuffix(f"_{unit}")

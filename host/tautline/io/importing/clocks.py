@@ -32,8 +32,8 @@ class Clock:
 
 def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
     """Chooses which times are used for all groups (topics) of a recording: the senders' stamps if all groups have them
-    and they are on one clock, else the times at which messages were logged. times: by group its log times and stamps
-    (None without), (n,) s each; the group "" is a table, whose times are its own."""
+    and they are on one clock, else the times at which messages were logged, with a warning why. times: by group its log
+    times (n,) s and its stamps (n,) s, None without; a single group "" is a table, whose own times are used."""
     stamped = {group: stamp for group, (_, stamp) in times.items() if stamp is not None}
     if not stamped:
         return Clock(FILE if set(times) == {""} else LOG)
@@ -49,9 +49,9 @@ def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
 
 
 def _disagreement(times: Mapping[str, tuple[Array, Array]]) -> str:
-    """Why the stamps of several groups are not of one clock, as a warning; "" where they are. Each group's stamps are
-    compared with the log times, which are of one clock: by their median offset, s, and over a long recording by its
-    rate of change. times: by group its log times and stamps (NaN: not set), (n,) s each."""
+    """A warning that says why the stamps of several groups are not on one clock; "" where they are. All log times are
+    on one clock: each group's median of stamp less log time is compared, s, and over more than _LONG_ENOUGH_S its rate
+    of change. times: by group its log times and stamps (NaN: not set), (n,) s each."""
     offsets: dict[str, float] = {}
     rates: dict[str, float] = {}
     for group, (log, stamp) in times.items():
@@ -75,36 +75,38 @@ def _disagreement(times: Mapping[str, tuple[Array, Array]]) -> str:
     return ""
 
 
-def in_use(log_s: Array, stamp_s: Array | None, used: str) -> Array:
-    """A group's times (n,), s, by the clock `used` (of Clock): its stamps, or the times at which it was logged."""
+def times_by_clock(log_s: Array, stamp_s: Array | None, used: str) -> Array:
+    """The times (n,), s, of a group by the clock `used` (of Clock): its stamps where that is STAMP and there are any,
+    else its log times."""
     return stamp_s if used == STAMP and stamp_s is not None else log_s
 
 
 def first_s(times: Mapping[str, tuple[Array, Array | None]], used: str) -> float:
-    """The earliest time of all groups, s, by the clock `used` (of Clock); infinity without any. times: as in
+    """The earliest time of all groups, s, by the clock `used` (of Clock); infinity where none is finite. times: as in
     `choose`."""
-    own = [in_use(log_s, stamp_s, used) for log_s, stamp_s in times.values()]
+    own = [times_by_clock(log_s, stamp_s, used) for log_s, stamp_s in times.values()]
     return min(float(np.min(t_s, initial=np.inf, where=np.isfinite(t_s))) for t_s in own)
 
 
-def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
-    """Which rows to keep so that times rise: indices (m,) into t_s (n,), in the order of time, without rows that have
-    no time or repeat one. What was left out or sorted, and gaps, are added to `warnings`; what: names the rows there.
-    TautError where times go back or repeat too often to be of one clock."""
+def rows_in_time_order(t_s: Array, what: str, warnings: list[str]) -> Array:
+    """The rows to keep so that times rise strictly: indices (m,) into t_s (n,), s, in the order of time, without rows
+    that have no time or repeat one. What was left out or sorted, and gaps, are added to `warnings`; what: names the
+    rows there. TautError where fewer than two rows are left, or times go back or repeat too often to be of one
+    clock."""
     kept: Array = np.flatnonzero(np.isfinite(t_s))
     if lost := len(t_s) - len(kept):
         warnings.append(f"{what}: {lost} rows without a time were left out")
     if len(kept) < 2:
         raise TautError(f"{what}: has {len(kept)} rows with a time: expected a motion")
-    kept = kept[_order(t_s[kept], what, warnings)]
-    kept = kept[_not_repeated(t_s[kept], what, warnings)]
+    kept = kept[_sorting_order(t_s[kept], what, warnings)]
+    kept = kept[_mask_of_new_times(t_s[kept], what, warnings)]
     _warn_of_gaps(t_s[kept], what, warnings)
     return kept
 
 
-def _order(t_s: Array, what: str, warnings: list[str]) -> Array:
-    """The indices (n,) that sort t_s (n,), finite. That something was sorted is added to `warnings`; what: names the
-    rows there. TautError where times go back too often or too far."""
+def _sorting_order(t_s: Array, what: str, warnings: list[str]) -> Array:
+    """The indices (n,) that sort t_s (n,), s, finite. If anything was out of order, that is added to `warnings`; what:
+    names the rows there. TautError where times go back too often or too far."""
     step = np.diff(t_s)
     back = int(np.sum(step < 0))
     if not back:
@@ -120,9 +122,9 @@ def _order(t_s: Array, what: str, warnings: list[str]) -> Array:
     return order
 
 
-def _not_repeated(t_s: Array, what: str, warnings: list[str]) -> Array:
-    """(n,) Whether each of t_s, sorted, differs from the one before it. How many do not is added to `warnings`; what:
-    names the rows there. TautError where too many do not, or all times are one."""
+def _mask_of_new_times(t_s: Array, what: str, warnings: list[str]) -> Array:
+    """A mask (n,) of the times t_s (n,), s, sorted, that differ from the one before. The number of the others is added
+    to `warnings`; what: names the rows there. TautError where these are too many, or all times are one."""
     new: Array = np.concatenate([[True], np.diff(t_s) != 0])
     if repeated := int(np.sum(~new)):
         if repeated > max(1.0, MAX_REPEATED_TIMES * len(t_s)):
@@ -137,8 +139,8 @@ def _not_repeated(t_s: Array, what: str, warnings: list[str]) -> Array:
 
 
 def _warn_of_gaps(t_s: Array, what: str, warnings: list[str]) -> None:
-    """Adds to `warnings` how many gaps without rows there are in t_s (n,), rising, and the longest. what: names the
-    rows there."""
+    """Adds to `warnings` the number of gaps in t_s (n,), s, rising, and the longest one. A gap is a step of more than
+    _GAP_S and _GAP_STEPS usual steps. what: names the rows there."""
     step = np.diff(t_s)
     gaps = int(np.sum(step > max(_GAP_S, _GAP_STEPS * float(np.median(step)))))
     if gaps:
@@ -149,8 +151,9 @@ def _warn_of_gaps(t_s: Array, what: str, warnings: list[str]) -> None:
         )
 
 
-def overlap(motor_s: Array, tip_s: Array, motor: str, tip: str) -> None:
-    """TautError where the times of motor and tip, (n,) s rising, do not overlap. motor, tip: their channels' names."""
+def check_overlap(motor_s: Array, tip_s: Array, motor: str, tip: str) -> None:
+    """Raises TautError where the times of motor and tip, rising, s, (n,) and (m,), do not overlap. motor, tip: their
+    channels' names."""
     if motor_s[0] <= tip_s[-1] and tip_s[0] <= motor_s[-1]:
         return
     raise TautError(

@@ -27,9 +27,9 @@ class Delimited:
     numbers = "column"
 
     def __init__(self, path: Path, time: str = "") -> None:
-        """Reads the first rows, and finds out how the file is written and which column is the time. time: that column's
-        name, or with its unit NAME:ms; "" finds it. TautError where the file is no table of numbers, or has no column
-        of times."""
+        """Reads the first rows, and finds out how the file is written, which column is the time, and its unit. time:
+        that column's name, or with its unit NAME:ms; "" finds it. TautError where the file is no table of numbers, or
+        has no column of times."""
         self.path = path
         self.notes: list[str] = []
         self.videos: list[str] = []
@@ -55,18 +55,20 @@ class Delimited:
         return (0,)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """All rows, as batches of the one group "", a part of the file at a time."""
+        """Yields all rows as batches of the one group "", a part of the file at a time. episode, groups: as every
+        Source takes them, unused."""
         for frame in self._frames():
             values = {name: self._numbers(frame[name]) for name in self.facts}
             yield Batch("", self._seconds(frame[self._time]), None, values)
 
     def pictures(self, episode: int, video: str) -> Clip:
-        """The whole video file of this name in the table's folder, as a clip."""
+        """The video file of this name in the table's folder, whole, as a clip. episode: unused. Whether there is such a
+        file is not checked."""
         return Clip(self.path.parent / video)
 
     def _frames(self, rows: int | None = None) -> Iterator[pd.DataFrame]:
-        """Yields the table's rows as data frames of at most _CHUNK_ROWS each. rows: how many from the start; None: all.
-        TautError where the file cannot be read to its end."""
+        """Yields the table's rows as data frames of at most _CHUNK_ROWS rows each. rows: how many from the start; None:
+        all. TautError where the file cannot be read to its end."""
         how = self._layout
         try:
             with pd.read_csv(
@@ -104,25 +106,26 @@ class Delimited:
         return bool(np.mean(np.isfinite(self._numbers(column))) >= 0.5)
 
     def _moments(self, column: pd.Series) -> Array:
-        """A column of dates as int64 (n,), ns since 1970; the least int64 for a cell that is no date. Dates are
-        2026-11-23 15:13:47.5, or, if the file's first one begins so, with the day first and the year last."""
+        """A column of dates as int64 (n,), ns since 1970; the least int64 (NaT) for a cell that is no date. Dates are
+        such as 2026-11-23 15:13:47.5; if the file's first one does not begin with a year, the day comes first and the
+        year last."""
         text = column.astype("string").str.replace(",", ".", regex=False)
         moments = pd.to_datetime(text, errors="coerce", dayfirst=self._day_first, format="mixed")
         return moments.to_numpy("datetime64[ns]").astype(np.int64)
 
     def _seconds(self, column: pd.Series) -> Array:
-        """The column of times as s since the origin (n,), NaN where a cell holds none."""
+        """The column of times in s since the origin (n,), NaN where a cell holds no time."""
         if self._dated:
             moments = self._moments(column)
             since = (moments - self._origin) * 1e-9
-            return np.where(moments == np.iinfo(np.int64).min, np.nan, since)  # what is no date is NaT, the least
+            return np.where(moments == np.iinfo(np.int64).min, np.nan, since)  # NaT is the least int64
         if pd.api.types.is_integer_dtype(column):  # an epoch's nanoseconds are more than a float holds
             whole: Array = (column.to_numpy(np.int64) - int(self._origin)) * TIMES[self._unit]
             return whole
         return (self._numbers(column) - self._origin) * TIMES[self._unit]
 
     def _first_moment(self, column: pd.Series) -> int:
-        """A column's first date, ns since 1970. TautError where one of the first few cells is none."""
+        """The first date in a column, ns since 1970. TautError where one of its first few filled cells is no date."""
         head = column.dropna().head()
         moments = self._moments(head)
         if moments.min() == np.iinfo(np.int64).min:
@@ -131,10 +134,10 @@ class Delimited:
         return int(moments[0])
 
     def _unit_and_origin(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
-        """The unit of the times, of units.TIMES, and the origin, in that unit, that is taken off them: the first time
-        if they count from an epoch, else 0. unit: the user's, "" without; else the one in the column's name or below
-        it; else one is guessed from the rows' distance, and noted. column: the first rows. TautError where it holds no
-        times."""
+        """The unit of the times, of units.TIMES, and the origin, in that unit, that is subtracted from them: the first
+        time if they count from an epoch, else 0. unit: the user's, "" without. Without it the unit is the one in the
+        column's name or in the line of units, or else guessed from the rows' step, which is added to `notes`. column:
+        the first rows. TautError where they hold no times."""
         if self._dated:
             return "ns", self._first_moment(column)
         numbers = self._numbers(column)
@@ -150,7 +153,7 @@ class Delimited:
                     f"{self.path}: {self._time} is the same in most neighbouring rows: these are no times of rows, "
                     f"name others with --time NAME, or their unit with --time '{self._time}:UNIT'"
                 )
-            unit = _time_unit(step)
+            unit = _unit_by_step(step)
             self.notes.append(
                 f"{self.path}: {self._time} has no unit: its steps of {step:.6g} are taken as {unit}, "
                 f"{1.0 / (step * TIMES[unit]):.4g} rows/s; --time '{self._time}:UNIT' says another"
@@ -160,9 +163,10 @@ class Delimited:
         return unit, start if abs(start) * TIMES[unit] > EPOCH_S else 0
 
     def _time_column(self, first: pd.DataFrame) -> str:
-        """The name of the column of times, from the first rows: one that rises as times do and has a time's name; else
-        the first with such a name, else the first that rises. A column of days alone is none. TautError without any."""
-        rising = [name for name in self._layout.names if _rises(first[name])]
+        """The name of the column of times, from the first rows: the first one that rises as times do and has a time's
+        name; else the first with such a name, else the first that rises. A column that holds one day in all rows does
+        not count as named so. TautError where there is none."""
+        rising = [name for name in self._layout.names if _may_be_times(first[name])]
         called = [name for name in self._layout.names if _TIME_WORDS.match(name.strip().lower())]
         # A text that is the same in all rows is the day on which they were recorded, and no time.
         days = {name for name in called if _first_text(first[name]) and first[name].nunique() == 1}
@@ -176,9 +180,9 @@ class Delimited:
         return found[0]
 
 
-def _rises(column: pd.Series) -> bool:
-    """Whether a column may be times: dates that differ in most neighbouring rows (a day alone is none), or numbers that
-    rise but for a few steps back."""
+def _may_be_times(column: pd.Series) -> bool:
+    """Whether a column may hold times: dates that differ in more than half of all neighbouring rows, or numbers that
+    rise, where at most 1 - _RISES of the steps go back."""
     if begins := _first_text(column):
         return is_date(begins) and bool(np.mean(column.iloc[1:].to_numpy() != column.iloc[:-1].to_numpy()) > 0.5)
     step = np.diff(column.to_numpy(dtype=np.float64, na_value=np.nan))
@@ -191,7 +195,7 @@ def _first_text(column: pd.Series) -> str:
     return "" if pd.api.types.is_numeric_dtype(column) or not len(filled) else str(filled.iloc[0])
 
 
-def _time_unit(step: float) -> str:
-    """The unit, of units.TIMES, in which rows that are `step` apart come at a motor's usual rates (FASTEST_S to
-    SLOWEST_S); of two such the longer unit, without any "s"."""
+def _unit_by_step(step: float) -> str:
+    """Guesses the unit, of units.TIMES, of times that go on by `step` from row to row: the longest one in which that is
+    a motor's usual step (FASTEST_S to SLOWEST_S); "s" where there is none."""
     return next((u for u, times in TIMES.items() if FASTEST_S <= abs(step) * times <= SLOWEST_S), "s")

@@ -22,8 +22,8 @@ from tautline.io.importing.listing import Listing, Progress, check_episode, reso
 from tautline.io.importing.mcap import Mcap
 from tautline.io.importing.propose import Proposal
 from tautline.io.importing.rosbag import Rosbag
-from tautline.io.importing.source import Source, no_messages
-from tautline.io.importing.units import Named, named
+from tautline.io.importing.source import Source, no_messages_error
+from tautline.io.importing.units import Named, parse_channel
 from tautline.layouts import MOTOR
 from tautline.recording import IMPORT_FILE
 from tautline.rig import Rig
@@ -46,8 +46,8 @@ class Imported:
 
 
 def open_source(path: str | Path, time: str = "") -> Source:
-    """Opens the file or folder at a path as what it is by its content: an MCAP file, a ROS bag, a LeRobot data set, or
-    else a CSV. time: a CSV's column of times, "" finds it. TautError where it is none of these, or `time` is given for
+    """Opens the file or folder at a path by its content: an MCAP file, a ROS bag, a LeRobot data set, or else a CSV.
+    time: the name of a CSV's column of times, "" finds it. TautError where it is none of these, or `time` is given for
     another kind."""
     path = Path(path)
     source = _recognised_source(path)
@@ -59,8 +59,8 @@ def open_source(path: str | Path, time: str = "") -> Source:
 
 
 def _recognised_source(path: Path) -> Source | None:
-    """Opens a file or folder whose kind is recognised by its files or first bytes; None for what may be a CSV.
-    TautError, with the remedy, for what is none of them or only a part of one."""
+    """Opens a file or folder whose kind is recognised by its files or its first bytes; None for a file that may be a
+    CSV. TautError, with the remedy, where it is missing, of an unknown kind, or only a part of a bag or a data set."""
     if not path.exists():
         raise TautError(f"{path}: there is no such file or folder")
     if path.is_dir():
@@ -96,13 +96,13 @@ def import_episodes(
     source: Source, out: Path, roles: Roles, progress: Progress, unit: str | None = None,
     rig: Rig | None = None, episode: int | None = None,
 ) -> tuple[list[Imported], list[str]]:  # fmt: skip
-    """Imports the episodes of a source, or the one with the number `episode`, as recordings: into the folder `out` if
-    there is one, else into OUT/episode_NNNNNN each; whole or not at all. unit, rig: as in `assemble`. Returns what was
-    written, and of several episodes which were left out, and why, a line each. TautError where no episode can be
-    imported, or the named one."""
+    """Imports the episodes of a source, or the one with the number `episode`, as recordings, whole or not at all: a
+    single one into the folder `out`, several into OUT/episode_NNNNNN. unit, rig: as in `assemble`. Returns what was
+    written, and a line on each of several episodes that was left out and why. TautError where the named episode, or
+    every one, cannot be imported, or the source itself would be overwritten."""
     listed = list(source.episodes())
     if not listed:
-        raise no_messages(source.path)
+        raise no_messages_error(source.path)
     if episode is not None:
         check_episode(source, episode)
     read = source.path.resolve()
@@ -120,8 +120,9 @@ def _import_all(
     source: Source, origin: dict[str, Any], listed: Sequence[int], out: Path, roles: Roles, progress: Progress,
     unit: str | None, rig: Rig | None,
 ) -> tuple[list[Imported], list[str]]:  # fmt: skip
-    """`import_episodes` of several episodes, those with the numbers `listed`. origin: of the source, for import.toml.
-    TautError, the first episode's, where none can be imported."""
+    """`import_episodes` for several episodes, those with the numbers `listed`, into OUT/episode_NNNNNN each. An episode
+    that cannot be imported is left out. origin: as of `_origin`. TautError, that of the first episode, where none can
+    be imported."""
     written: list[Imported] = []
     skipped: list[str] = []
     first: TautError | None = None
@@ -147,25 +148,28 @@ def _import_all(
 
 
 def _share_rig(folders: Sequence[Path], named: Rig | None) -> None:
-    """Writes one rig for all episodes, as recordings that go together have one: all ranges, the finest encoder step,
-    and the coarse law of the widest range. Nothing where the user named a rig, or none was written."""
+    """Rewrites the rig.toml of all episodes' folders so that they have one rig, as recordings that go together do: it
+    covers all ranges, and has the finest encoder step and the coarse law of the episode with the widest range. Does
+    nothing where the user named a rig, or no rig.toml was written."""
     files = [folder / "rig.toml" for folder in folders if (folder / "rig.toml").is_file()]
     if named is not None or not files:
         return
     rigs = [Rig.load(file) for file in files]
-    reach = (min(rig.actuator.range[0] for rig in rigs), max(rig.actuator.range[1] for rig in rigs))
-    actuator = replace(rigs[0].actuator, range=reach)
+    whole_range = (min(rig.actuator.range[0] for rig in rigs), max(rig.actuator.range[1] for rig in rigs))
+    actuator = replace(rigs[0].actuator, range=whole_range)
     widest = max(rigs, key=lambda rig: rig.actuator.span)  # whose slope is known best
-    count = min(rig.actuator.encoder_resolution for rig in rigs)
+    finest = min(rig.actuator.encoder_resolution for rig in rigs)
     for file in files:
-        replace(widest, actuator=replace(actuator, encoder_resolution=count)).save(file)
+        replace(widest, actuator=replace(actuator, encoder_resolution=finest)).save(file)
 
 
 def _write_recording(
     source: Source, origin: dict[str, Any], folder: Path, roles: Roles, unit: str | None, rig: Rig | None,
     episode: int, progress: Progress,
 ) -> Imported:  # fmt: skip
-    """Writes one episode as a recording with its import.toml."""
+    """Writes one episode as a recording with its import.toml into `folder`. A rig.toml is written if the user named a
+    rig, or an angle tells the coarse law; warnings say which. origin: as of `_origin`; unit, rig: as in `assemble`.
+    TautError as there."""
     with TemporaryDirectory(prefix="taut-import-") as scratch:
         made = assemble(source, episode, roles, unit, rig, Path(scratch), progress)
         known = made.rig_known or made.recording.angle is not None
@@ -197,14 +201,14 @@ def _provenance(source: Source, origin: dict[str, Any], episode: int, made: Asse
 
 
 def _origin(source: Source) -> dict[str, Any]:
-    """What import.toml says of the source: path, kind, hash, size in bytes, and tautline's version."""
+    """What import.toml says of the source: path, kind, SHA-256, size in bytes, and tautline's version."""
     hashed, size = _sha256(source.path)
     return {"path": str(source.path), "kind": source.kind, "sha256": hashed, "bytes": size, "taut": __version__}
 
 
 def _sha256(path: Path) -> tuple[str, int]:
-    """SHA-256, hexadecimal, and size in bytes of a file or a folder. A folder's is over its files' names, sizes and
-    contents in order; the contents of videos are left out, as they are large."""
+    """SHA-256, hexadecimal, and size in bytes of a file or a folder. A folder's hash is over the names, sizes and
+    contents of its files in order; the contents of videos do not go in, as they are large."""
     digest, size = hashlib.sha256(), 0
     files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
     for file in files:
@@ -221,13 +225,13 @@ def _sha256(path: Path) -> tuple[str, int]:
 
 
 def named_roles(roles: Roles, listing: Listing, source: Source, unit: str | None) -> Proposal:
-    """The roles that the user has named already, as a Proposal that `propose` completes: names resolved to channels.
-    unit: of q, None without. TautError where a name means no channel."""
+    """The roles that the user has named already, resolved to channels, as a Proposal that `propose` completes. unit: of
+    q, None where the user named none. TautError where a name means no channel."""
     known = listing.channels
 
     def of(text: str) -> Named:
         """The channel that a text (NAME, NAME:UNIT, NAME:FACTOR) means."""
-        each = named(text, known)
+        each = parse_channel(text, known)
         return replace(each, name=resolve(each.name, source, known))
 
     motor = of(roles.motor) if roles.motor else None
@@ -238,8 +242,8 @@ def named_roles(roles: Roles, listing: Listing, source: Source, unit: str | None
 def proposed_command(
     source: Source, out: Path | None, found: Proposal, joints: Sequence[str], episode: int | None, time: str = ""
 ) -> str:
-    """The whole command line of `taut import` for a proposal, to be copied; "" where it lacks a motor, or tip and
-    video. joints, episode, time, out: the user's options."""
+    """The whole `taut import` command line for a proposal, ready to be copied; "" where the proposal lacks the motor,
+    or both tip and video. out, joints, episode, time: the user's options."""
     if found.motor is None or not (found.tip or found.video):
         return ""
     words = ["taut", "import", str(source.path), "--out", str(out or "recording"), "--motor", found.motor.text]

@@ -36,13 +36,15 @@ class Layout:
 
     @classmethod
     def of(cls, path: Path) -> Layout:
-        """Finds out the layout of a file from its first lines: most of them are rows of numbers, the line of names is
-        above them, perhaps with a line of units between. TautError where it is no such table."""
+        """Finds out the layout of a file from its first lines. Most of them are to be rows of numbers; the line of
+        names is above them, perhaps with a line of units between. TautError where there is no such table, or two
+        columns have one name."""
         lines, encoding = _first_lines(path)
         separator, rows = _split_by_best_separator(path, lines)
         numeric = [k for k, row in enumerate(rows) if _is_numeric(row)]
         lengths = [len(rows[k]) for k in numeric]
         count = max(sorted(set(lengths), reverse=True), key=lengths.count)  # a stray separator makes one row longer
+        # first row of numbers; the lines above it that are filled enough to be names or units
         first = next(k for k in numeric if len(rows[k]) == count)
         above = [k for k in range(first) if sum(bool(cell) for cell in rows[k]) >= max(2, count - 1)]
         if not above:
@@ -61,8 +63,8 @@ class Layout:
 
 
 def _column_unit(below: str, name: str) -> str:
-    """A column's unit: by the cell below its name in a line of units, else by the name's end; "" where neither has
-    one."""
+    """A column's unit: the cell below its name in a line of units, else the one at the name's end; "" where neither is
+    a unit."""
     cell = below.strip("[]() ")
     return known_unit(cell) or known_unit(cell, TIMES) or unit_in(name) or unit_in(name, TIMES)
 
@@ -73,8 +75,8 @@ def is_date(cell: str) -> bool:
 
 
 def _first_lines(path: Path) -> tuple[list[str], str]:
-    """The first lines of a file, up to _LOOKED_AT, and the encoding that reads them. TautError where it is empty or no
-    text."""
+    """The first whole lines of a file, at most _LOOKED_AT, and the encoding that they are read in. TautError where the
+    file is empty or no text."""
     with path.open("rb") as stream:
         data = stream.read(_LOOKED_AT_BYTES)
     if not data.strip():
@@ -98,11 +100,11 @@ def _first_lines(path: Path) -> tuple[list[str], str]:
 
 
 def _split_by_best_separator(path: Path, lines: Sequence[str]) -> tuple[str, list[list[str]]]:
-    """The separator with which most lines are rows of numbers of one length, and the lines' cells by it. TautError
-    where no separator gives rows of numbers."""
+    """The separator that splits most lines into rows of numbers of one length, and the cells of all lines by it.
+    TautError where no separator gives rows of numbers."""
     best: tuple[int, str, list[list[str]]] = (0, "", [])
     for separator in _SEPARATORS:
-        rows = [_split(line, separator) for line in lines]
+        rows = [_cells(line, separator) for line in lines]
         counts = [len(row) for row in rows if _is_numeric(row)]
         fitting = max((counts.count(count) for count in set(counts)), default=0)
         if fitting > best[0]:
@@ -112,7 +114,7 @@ def _split_by_best_separator(path: Path, lines: Sequence[str]) -> tuple[str, lis
     return best[1], best[2]
 
 
-def _split(line: str, separator: str) -> list[str]:
+def _cells(line: str, separator: str) -> list[str]:
     """A line's cells, without blanks around them; [] for a line that csv cannot split."""
     if separator == " ":
         return line.split()
@@ -123,14 +125,14 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _is_numeric(row: Sequence[str]) -> bool:
-    """Whether a row is one of numbers: it has at least two cells, a number in one at least, and texts in less than
-    half."""
+    """Whether a row is one of numbers: it has two cells or more, at least one of them a number, and less than half are
+    texts. Dates and empty cells count as neither."""
     numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in row)
     texts = sum(bool(cell) and not is_date(cell) for cell in row) - numbers
     return len(row) > 1 and numbers > 0 and texts < 0.5 * len(row)
 
 
 def _is_units(row: Sequence[str]) -> bool:
-    """Whether a row is one of units: more than half of its cells that are not empty are units."""
+    """Whether a row is one of units: more than half of its non-empty cells are units."""
     cells = [cell.strip("[]() ") for cell in row if cell]
     return sum(bool(known_unit(cell) or known_unit(cell, TIMES)) for cell in cells) > 0.5 * len(cells)

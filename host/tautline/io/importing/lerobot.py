@@ -11,7 +11,7 @@ import numpy as np
 
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
-from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact, no_video
+from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact, no_video_error
 
 INFO = "meta/info.json"
 _EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
@@ -37,7 +37,7 @@ class LeRobot:
         self.origin_s = 0.0
         self._parquet = library("pyarrow.parquet", f"{path}: a LeRobot data set")
         self._arrow_error: type[Exception] = library("pyarrow", "LeRobot").ArrowException
-        self._info = self._json(path / INFO)
+        self._info = self._read_json(path / INFO)
         version = str(self._info.get("codebase_version", ""))
         self._layout = version.split(".")[0]
         if self._layout not in _EPISODES:
@@ -62,17 +62,17 @@ class LeRobot:
             )
 
     def _numeric_facts(self) -> dict[str, Fact]:
-        """The facts on each channel of the numeric features, by its name; lowest and highest value from stats.json, NaN
-        without it."""
+        """The facts on each channel of the numeric features, by the channel's name. Their lowest and highest values are
+        those in stats.json, NaN where it says none."""
         file = self.path / _STATS
-        stats = self._json(file) if file.is_file() else {}
+        stats = self._read_json(file) if file.is_file() else {}
         facts: dict[str, Fact] = {}
         for name, feature in self._numeric.items():
             named = _channel_names(name, feature)
             ends = (_stats_of(stats.get(name), which, len(named)) for which in ("min", "max"))
             for (key, label), low, high in zip(named, *ends, strict=True):
                 usual = "deg" if label.endswith(_OWN) else ""
-                facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature), usual, low, high)
+                facts[key] = Fact(str(feature["dtype"]), label, self._stated_unit(feature), usual, low, high)
         return facts
 
     def episodes(self) -> Sequence[int]:
@@ -80,9 +80,10 @@ class LeRobot:
         return sorted(self._rows)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The episode's rows, as batches of the one group "". groups: as every Source takes it, unused. TautError where
-        the file is missing, cut or lacks a column: of a feature, the time, in version 3.0 the episode's number."""
-        file = self._format("data_path", **self._placed(episode, "data"))
+        """Yields the episode's rows as batches of the one group ""; a number of rows that is not the listed one is
+        added to `notes`. groups: as every Source takes it, unused. TautError where the file is missing, cut, or lacks
+        the column of a feature, of the time or, in version 3.0, of the episode's number."""
+        file = self._path_by_template("data_path", **self._template_values(episode, "data"))
         shared = self._layout == "v3"  # others may be in the file, and the column `episode_index` says whose a row is
         columns = [*self._numeric, "timestamp", *([_EPISODE] if shared else [])]
         if not file.is_file():
@@ -107,11 +108,12 @@ class LeRobot:
             self.notes.append(f"{file}: episode {episode} has {count} rows, its list says {length}")
 
     def pictures(self, episode: int, video: str) -> Clip:
-        """The episode's part of the file of one video, a clip. TautError where there is no such video."""
+        """The episode's part of the file of one video, as a clip; in version 2.1 the whole file. TautError where there
+        is no such video."""
         if video not in self.videos:
-            raise no_video(self.path, video, self.videos)
+            raise no_video_error(self.path, video, self.videos)
         key = f"videos/{video}"
-        path = self._format("video_path", video_key=video, **self._placed(episode, key))
+        path = self._path_by_template("video_path", video_key=video, **self._template_values(episode, key))
         if self._layout == "v2":
             return Clip(path)
         return Clip(
@@ -121,7 +123,8 @@ class LeRobot:
         )
 
     def _batch(self, batch: Any, file: Path) -> Batch:
-        """A Batch from one of pyarrow's, with a channel for each of the features' numbers. file: for errors."""
+        """A Batch made from one of pyarrow's, with a channel for each number of the numeric features. file: for
+        messages. TautError where a feature has another count of numbers a row than info.json says."""
         values: dict[str, Array] = {}
         for name, feature in self._numeric.items():
             column = batch.column(name)
@@ -135,8 +138,8 @@ class LeRobot:
         return Batch("", self._times(batch), None, values)
 
     def _times(self, batch: Any) -> Array:
-        """The rows' times (n,), s. They are written in single precision, some us off: where the frame's number over the
-        rate, rounded so, is the written time, that exact one is taken."""
+        """The rows' times (n,), s. They are written in single precision, some us off; so the exact frame number / fps
+        is taken wherever it rounds to the written time."""
         written = batch.column("timestamp").cast("float64").to_numpy(zero_copy_only=False)
         rate = self._info.get("fps")
         if _FRAME not in batch.schema.names or not isinstance(rate, int | float) or not rate > 0:
@@ -144,9 +147,10 @@ class LeRobot:
         nominal = batch.column(_FRAME).cast("float64").to_numpy(zero_copy_only=False) / rate
         return np.where(nominal.astype(np.float32) == written, nominal, written)
 
-    def _placed(self, episode: int, what: str) -> dict[str, int]:
-        """The values for info.json's path templates that give an episode's file. what: the prefix of their keys in the
-        table of episodes, `data` or `videos/NAME`; version 2.1 has a file for each episode and needs no table."""
+    def _template_values(self, episode: int, what: str) -> dict[str, int]:
+        """The values for info.json's path templates that give the file of an episode: its number and chunk in version
+        2.1, chunk and file from the table of episodes in version 3.0. what: the prefix of their keys in that table,
+        `data` or `videos/NAME`."""
         if self._layout == "v2":
             return {"episode_chunk": episode // int(self._info.get("chunks_size") or 1000), "episode_index": episode}
         return {name: int(self._episode_number(episode, f"{what}/{name}")) for name in ("chunk_index", "file_index")}
@@ -181,16 +185,17 @@ class LeRobot:
             raise TautError(f"{listed}: holds no list of episodes (*/*.parquet): copy the folder meta whole")
         return rows
 
-    def _unit(self, feature: Mapping[str, Any]) -> str:
-        """The unit of a feature by info.json, of _UNITS, in its key `unit` or that of its `info`; "" without."""
+    def _stated_unit(self, feature: Mapping[str, Any]) -> str:
+        """The unit of a feature, of _UNITS, that its entry in info.json states under `unit`, or under `info` and there
+        `unit`; "" where it states none of them."""
         inner = feature.get("info")
         stated = str(feature.get("unit") or (inner.get("unit") if isinstance(inner, Mapping) else "") or "")
         short = {"degrees": "deg", "degree": "deg", "radians": "rad", "radian": "rad"}.get(stated.lower(), stated)
         return short if short in _UNITS else ""
 
-    def _format(self, key: str, **values: Any) -> Path:
-        """The path that info.json's template under `key` gives with these values. TautError where it is no template of
-        them."""
+    def _path_by_template(self, key: str, **values: Any) -> Path:
+        """The path that info.json's template under `key` gives with these values. TautError where the template asks for
+        other values, or is none."""
         template: str = self._info_value(key, str)
         try:
             return self.path / template.format(**values)
@@ -204,7 +209,7 @@ class LeRobot:
             raise TautError(f"{self.path / INFO}: {key} is missing: is the data set whole?")
         return value
 
-    def _json(self, file: Path) -> Mapping[str, Any]:
+    def _read_json(self, file: Path) -> Mapping[str, Any]:
         """Reads a JSON object from a file. TautError where it is unreadable or no object."""
         try:
             document = json.loads(file.read_text(encoding="utf-8"))
@@ -216,8 +221,8 @@ class LeRobot:
 
 
 def _channel_names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """For each of a feature's numbers its channel, NAME or NAME[k], and its label by info.json, "" without. feature:
-    its entry there."""
+    """(channel, label) for each number of a feature: the channel is NAME, or NAME[k] where the feature has several or
+    names them; the label is that of info.json, "" without. feature: its entry there."""
     shape = [int(n) for n in feature.get("shape") or (1,)]
     count = int(np.prod(shape))
     labels: Any = feature.get("names")
@@ -230,8 +235,8 @@ def _channel_names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str
 
 
 def _stats_of(stats: Any, which: str, count: int) -> list[float]:
-    """`min` or `max` (`which`) of each of a feature's `count` numbers over all episodes, by its entry in stats.json;
-    NaN each where that says nothing."""
+    """The `min` or `max` (`which`) over all episodes of each of a feature's `count` numbers, by the feature's entry in
+    stats.json; all NaN where that does not have so many numbers."""
     stated = stats.get(which) if isinstance(stats, Mapping) else None
     try:
         ends = np.ravel(np.array(stated, dtype=float))

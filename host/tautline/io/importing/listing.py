@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tautline.errors import TautError
-from tautline.io.importing.source import Array, Batch, Fact, Source, no_messages
+from tautline.io.importing.source import Array, Batch, Fact, Source, no_messages_error
 from tautline.io.importing.tip import QUATERNION, bending_deg
 
 Progress = Callable[[float, str], None]
@@ -62,7 +62,8 @@ class Rows:
 
 @dataclass
 class _Group:
-    """A group's rows as they come: each stride-th of them is kept, so that no more than 2 * _KEPT are held."""
+    """Collects a group's rows as they come: every one counts for count and range, each stride-th is kept, so that at
+    most 2 * _KEPT are held."""
 
     rows: int = 0
     stride: int = 1
@@ -75,8 +76,8 @@ class _Group:
     high: dict[str, float] = field(default_factory=dict)
 
     def add(self, batch: Batch) -> None:
-        """Takes in a batch: counts its numbers and their range, and keeps each stride-th row. Where too many are kept,
-        every second one is dropped and the stride doubles."""
+        """Takes in a batch: counts its numbers and widens their ranges, and keeps each stride-th row. Where more than 2
+        * _KEPT rows are held then, every second one is dropped and the stride doubles."""
         n = len(batch.log_s)
         self.first_s = min(self.first_s, float(np.nanmin(batch.log_s)))
         self.last_s = max(self.last_s, float(np.nanmax(batch.log_s)))
@@ -88,7 +89,7 @@ class _Group:
                 self.high[name] = max(self.high.get(name, -np.inf), float(finite.max()))
             else:
                 self.count.setdefault(name, 0)
-        chosen = np.arange(-self.rows % self.stride, n, self.stride)
+        chosen = np.arange(-self.rows % self.stride, n, self.stride)  # goes on where the batch before ended
         stamps = np.full(n, np.nan) if batch.stamp_s is None else batch.stamp_s
         self._keep(batch.log_s[chosen], stamps[chosen], {name: v[chosen] for name, v in batch.values.items()})
         self.rows += n
@@ -99,12 +100,12 @@ class _Group:
             self._keep(log_s[::2], stamp_s[::2], {name: v[::2].copy() for name, v in values.items()})
 
     def _keep(self, log_s: Array, stamp_s: Array, values: dict[str, Array]) -> None:
-        """Keeps rows: log times and stamps (k,) s, and values (k,) by channel."""
+        """Adds rows to those held: log times and stamps (k,) s, and values (k,) by channel."""
         self.kept.append((log_s, stamp_s, values))
         self.held += len(log_s)
 
     def joined(self) -> tuple[Array, Array, dict[str, Array]]:
-        """All kept rows: log times and stamps (k,) s, and values (k,) by channel, NaN where a row has none."""
+        """All held rows as one: log times and stamps (k,) s, and values (k,) by channel, NaN where a row has none."""
         names = dict.fromkeys(name for _, _, values in self.kept for name in values)
         return (
             np.concatenate([log_s for log_s, _, _ in self.kept]),
@@ -114,12 +115,12 @@ class _Group:
 
 
 def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
-    """Lists what is in an episode (None: the first), in one pass over it: each channel with its count, rate and range,
-    and at most 2 * _KEPT of its rows; of an orientation also the angle, as a channel. progress: gets the share done,
-    and a word. TautError where there is no such episode, or nothing in it."""
+    """Lists what is in an episode (None: the first one), in one pass over it: each channel with its count, rate and
+    range and at most 2 * _KEPT of its rows; an orientation also has its bending angle as a channel. progress: gets 0.5
+    and the number of rows read. TautError where there is no such episode, or nothing in it."""
     episodes = source.episodes()
     if not episodes:
-        raise no_messages(source.path)
+        raise no_messages_error(source.path)
     episode = episodes[0] if episode is None else episode
     check_episode(source, episode)
     groups: dict[str, _Group] = {}
@@ -142,8 +143,8 @@ def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
 def _channels_of(
     group: str, held: _Group, log_s: Array, values: Mapping[str, Array], facts: Mapping[str, Fact]
 ) -> dict[str, Channel]:
-    """The channels of a group, by name, an orientation's angle among them. log_s, values: the rows that were kept,
-    (k,); facts: the source's."""
+    """The channels of a group, by name, and as channels of their own the angles of its orientations, deg. log_s,
+    values: the rows that were kept, (k,) each; facts: the source's."""
     channels: dict[str, Channel] = {}
     span = held.last_s - held.first_s
     rate = (held.rows - 1) / span if span > 0 else 0.0
@@ -161,7 +162,7 @@ def _channels_of(
 
 
 def check_episode(source: Source, episode: int) -> None:
-    """TautError where a source, which has episodes, does not have this one."""
+    """Raises TautError where a source does not have the episode with this number. The source has at least one."""
     listed = source.episodes()
     if episode not in listed:
         raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
@@ -171,14 +172,15 @@ QUATERNION_TYPE = "orientation"
 
 
 def _orientations(names: Collection[str]) -> list[str]:
-    """The names NAME for which NAME.x, NAME.y, NAME.z and NAME.w are all among the channels' names: quaternions."""
+    """The names NAME for which NAME.x, NAME.y, NAME.z and NAME.w are all in `names`, as of a quaternion."""
     ends = [name.removesuffix(".w") for name in names if name.endswith(".w")]
     return [each for each in ends if all(f"{each}.{axis}" in names for axis in QUATERNION)]
 
 
 def resolve(wanted: str, source: Source, known: Collection[str]) -> str:
-    """The channel among `known` that a user means by its name, its label, or NAME[label]; also a name that stands for
-    several channels, NAME of NAME.x. TautError, with the most similar names, where there is none."""
+    """The channel among `known` that a user means by its name, by its label (if only one has it), or by NAME[label]. A
+    name that stands for several channels, NAME of NAME.x, is returned as it is. TautError, with the most similar names,
+    where there is none."""
     if wanted in known:
         return wanted
     labelled = {
@@ -202,8 +204,8 @@ def _label(source: Source, name: str) -> str:
 
 
 def find(source: Source, episode: int, wanted: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """For each name that a user gave (see `resolve`) its channel and group in an episode. Reads the episode only until
-    all are known; TautError where one never is."""
+    """For each name that a user gave (see `resolve`), (its channel, the channel's group) in an episode. Reads the
+    episode only until all are found. TautError where one is not in it, or the episode is empty."""
     known: dict[str, str] = dict.fromkeys(source.facts, "")
     for batch in source.batches(episode):
         known.update(dict.fromkeys(batch.values, batch.group))
@@ -217,21 +219,23 @@ def find(source: Source, episode: int, wanted: Sequence[str]) -> dict[str, tuple
 
 
 def _group_of(name: str, known: Mapping[str, str]) -> str:
-    """The group of a channel, by `known` (group by channel); of a name that stands for several the first one's."""
+    """The group of a channel, by `known` (group by channel); for a name that stands for several channels the group of
+    the first of them."""
     return known[name] if name in known else next(g for each, g in known.items() if each.startswith(f"{name}."))
 
 
 def read(source: Source, episode: int, wanted: Mapping[str, Collection[str]], progress: Progress) -> dict[str, Rows]:
-    """Reads all rows of the channels that are wanted (by group) in an episode. Returns Rows by group; channels of one
-    group that no message holds together, as those of two publishers, have Rows of their own, by the first one's name.
-    Memory: 8 bytes for each number and time, and once more for one channel. TautError where there are no rows."""
+    """Reads all rows of the wanted channels (by group) of an episode. Returns Rows by group; channels of a group that
+    never come in one message, such as those of two publishers, have Rows of their own, under the name of the first of
+    them. Memory: 8 bytes for each number and time, and once more for one channel. TautError where there are no rows."""
     parts: dict[str, dict[frozenset[str], list[_Part]]] = {group: {} for group in wanted}
     rows = 0
     for batch in source.batches(episode, list(wanted)):
+        # Copies: views would keep the whole batch in memory.
         chosen = {name: batch.values[name].copy() for name in wanted.get(batch.group, ()) if name in batch.values}
         if not chosen:
             continue
-        parts[batch.group].setdefault(frozenset(chosen), []).append((batch.log_s, batch.stamp_s, chosen))  # no views
+        parts[batch.group].setdefault(frozenset(chosen), []).append((batch.log_s, batch.stamp_s, chosen))
         rows += len(batch.log_s)
         progress(0.5, f"{rows} rows read")
     if not rows:
@@ -245,8 +249,8 @@ def read(source: Source, episode: int, wanted: Mapping[str, Collection[str]], pr
 
 
 def _channels_held_together(held: Collection[frozenset[str]], wanted: Collection[str]) -> list[list[str]]:
-    """Divides a group's channels into lists of those that messages hold together, directly or by way of others
-    (connected components), each in the order of `wanted`. held: the sets of channels that occur in one message."""
+    """Divides a group's channels into lists of channels that come in one message, directly or by way of others
+    (connected components), each in the order of `wanted`. held: the sets of channels that come in one message."""
     sets: list[frozenset[str]] = []
     for each in held:
         touching = [known for known in sets if known & each]
@@ -260,15 +264,15 @@ def _empty_episode_error(source: Source, episode: int) -> TautError:
 
 
 def _join_parts(parts: list[_Part], names: Collection[str], by_log: bool) -> Rows:
-    """Joins the parts of one group to Rows; values are taken out of the parts, which saves memory. Where a part lacks
-    stamps or a channel there is NaN; stamps are None if no part has any. by_log: rows are sorted by log time, as
-    batches may be out of order; a table's rows are not, so that a clock that was set back is noticed."""
+    """Joins the parts of one group to Rows, NaN where a part lacks stamps or a channel; stamps are None if no part has
+    any. Empties the parts' dictionaries of values as it goes, which saves memory. by_log: rows are sorted by log time,
+    as batches may be out of order; a table's rows are not, so that a clock that was set back is noticed."""
 
-    def take(part: _Part, name: str) -> Array:
-        """Takes a channel's values (n,) out of a part of n rows, NaN where it has none."""
+    def pop_values(part: _Part, name: str) -> Array:
+        """Removes a channel's values (n,) from a part of n rows and returns them; NaN where it has none."""
         return part[2].pop(name) if name in part[2] else np.full(len(part[0]), np.nan)
 
-    values = {name: np.concatenate([take(part, name) for part in parts]) for name in names}
+    values = {name: np.concatenate([pop_values(part, name) for part in parts]) for name in names}
     stamp_s = None
     if any(part[1] is not None for part in parts):
         stamp_s = np.concatenate([np.full(len(part[0]), np.nan) if part[1] is None else part[1] for part in parts])

@@ -9,8 +9,16 @@ from typing import Any
 
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
-from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
-from tautline.io.importing.source import Batch, Fact, Picture, no_pictures, no_video, origin_of, seconds_since
+from tautline.io.importing.messages import BatchBuilder, Flattener, is_picture, picture, stamp_ns
+from tautline.io.importing.source import (
+    Batch,
+    Fact,
+    Picture,
+    no_video_error,
+    origin_of,
+    seconds_since,
+    unknown_encoding_error,
+)
 
 
 class Mcap:
@@ -20,7 +28,8 @@ class Mcap:
     numbers = "topic"
 
     def __init__(self, path: Path) -> None:
-        """Reads the file's summary. TautError where it is cut or no MCAP, or the library is missing."""
+        """Reads the file's summary: whether it has chunks and messages, and its first time. TautError where it is cut
+        or no MCAP, or the library is missing."""
         self.path = path
         self.facts: dict[str, Fact] = {}
         self.videos: list[str] = []
@@ -33,8 +42,8 @@ class Mcap:
                 summary = self._reader.make_reader(stream).get_summary()
         except self._errors as error:
             raise self._cut_error(error) from error
-        # In the order of time the library holds the chunks that overlap, in the file's order all of them; without
-        # chunks it is the other way round.
+        # Which order needs less memory: with chunks, by time the library holds only those that overlap, in the file's
+        # order all of them; without chunks it is the other way round.
         self._by_time = summary is not None and bool(summary.chunk_indexes)
         if summary is None or summary.statistics is None:
             self.notes.append(f"{path}: has no summary at its end, all that can be read was taken")
@@ -50,9 +59,9 @@ class Mcap:
         return () if self._empty else (0,)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The numbers in the messages of these topics (None: all), in batches. Topics of pictures are added to
-        `videos`; those that cannot be decoded are left out, with a note."""
-        gathered = Gathered()
+        """Yields the numbers in the messages of these topics (None: all), in batches. Topics of pictures are added to
+        `videos` instead; topics that cannot be decoded are left out, and `notes` says so. episode: unused."""
+        builder = BatchBuilder()
         flatteners: dict[str, Flattener] = {}  # by topic, which several channels may share: one for each publisher
         for schema, channel, message, decode in self._messages(groups):
             type_name = schema.name if schema is not None else ""
@@ -65,7 +74,7 @@ class Mcap:
                 flatteners[channel.topic] = Flattener(channel.topic, type_name, self.facts)
             decoded = decode(message.data)
             stamp = stamp_ns(decoded)
-            batch = gathered.add(
+            batch = builder.add(
                 channel.topic,
                 self._seconds(message.log_time),
                 self._seconds(stamp),
@@ -73,22 +82,22 @@ class Mcap:
             )
             if batch is not None:
                 yield batch
-        yield from gathered.rest()
+        yield from builder.rest()
         for each in sorted(self._undecoded):
             note = f"{self.path}: {each} cannot be decoded and was left out"
             if note not in self.notes:
                 self.notes.append(note)
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
-        """The pictures of an image topic. TautError where there is no such topic, or its pictures have an unknown
-        encoding."""
+        """Yields the pictures of the image topic `video`; none where it has no messages. TautError where it is no image
+        topic, or a picture has an unknown encoding. episode: unused."""
         for schema, _, message, decode in self._messages([video]):
             if schema is None or not is_picture(schema.name):
-                raise no_video(self.path, video, self.videos)
+                raise no_video_error(self.path, video, self.videos)
             decoded = decode(message.data)
             found = picture(decoded, self._seconds(message.log_time), self._seconds(stamp_ns(decoded)))
             if found is None:
-                raise no_pictures(self.path, video)
+                raise unknown_encoding_error(self.path, video)
             yield found
 
     def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[Any, Any, Any, Callable[[bytes], Any]]]:
@@ -102,16 +111,16 @@ class Mcap:
                 reader = self._reader.make_reader(stream)
                 for schema, channel, message in reader.iter_messages(wanted, log_time_order=self._by_time):
                     if channel.id not in decoders:
-                        decoders[channel.id] = self._decoder(schema, channel)
+                        decoders[channel.id] = self._decoder_for(schema, channel)
                     decode = decoders[channel.id]
                     if decode is not None:
                         yield schema, channel, message, decode
         except self._errors as error:
             raise self._cut_error(error) from error
 
-    def _decoder(self, schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
-        """The function that decodes the data of a channel's messages, from its schema; None where the encoding is
-        unknown, which is noted."""
+    def _decoder_for(self, schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
+        """The function that decodes the data of a channel's messages by its schema; None where the encoding is unknown,
+        which is kept in `_undecoded`."""
         encoding = channel.message_encoding
         found: Callable[[bytes], Any] | None = None
         if encoding == "json":
@@ -133,11 +142,12 @@ class Mcap:
         return found
 
     def _seconds(self, time_ns: int | None) -> float:
-        """As `seconds_since` the source's origin."""
+        """A time of the file, ns, as s since the source's origin; NaN for None."""
         return seconds_since(self._origin_ns, time_ns)
 
     def _cut_error(self, error: Exception) -> TautError:
-        """The error to raise for an error of the library: the file is cut, or no MCAP."""
+        """The error to raise for an error of the library: it says that the file is cut or no MCAP, and how to save what
+        is whole."""
         return TautError(
             f"{self.path}: is cut short or no MCAP file ({' '.join(str(error).split()) or 'it ends too early'}): "
             f"'mcap recover {self.path} -o whole.mcap' saves what is whole"

@@ -20,8 +20,8 @@ _NO_NUMBERS = (str, bytes, bytearray, memoryview)
 
 
 def fields(message: Any) -> list[tuple[str, Any]]:
-    """The fields (name, value) of a message, however it was decoded: a dictionary, a protobuf message, or an object
-    with slots or of a dataclass. [] for what is none."""
+    """The fields (name, value) of a message, however it was decoded: a dictionary, a protobuf message, or an object of
+    a dataclass or with slots. [] for a value that is no message."""
     if isinstance(message, Mapping):
         return [(str(key), value) for key, value in message.items()]
     if (descriptor := getattr(message, "DESCRIPTOR", None)) is not None:
@@ -30,34 +30,34 @@ def fields(message: Any) -> list[tuple[str, Any]]:
     return [(name, getattr(message, name)) for name in names if not name.startswith("_")]
 
 
-def part(message: Any, name: str) -> Any:
-    """The field of this name in a message, however it was decoded; None where it has none."""
+def field_of(message: Any, name: str) -> Any:
+    """The value of the field `name` in a message, however it was decoded; None where it has no such field."""
     return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
 
 
 def stamp_ns(message: Any) -> int | None:
-    """The sender's time in a message, ns: of its header, its field `timestamp`, or the first of several transforms.
-    None where there is none, or it is 0."""
-    inner = part(message, "transforms")
+    """The sender's time in a message, ns: of its header, else its field `timestamp`; of several transforms that of the
+    first. None where there is none, it is 0, or its parts (seconds, nanoseconds) are no whole numbers."""
+    inner = field_of(message, "transforms")
     if inner is not None and len(inner):
         return stamp_ns(inner[0])
-    header = part(message, "header")
-    stamp = part(header, "stamp") if header is not None else part(message, "timestamp")
+    header = field_of(message, "header")
+    stamp = field_of(header, "stamp") if header is not None else field_of(message, "timestamp")
     if stamp is None:
         return None
-    whole = next((value for name in ("sec", "secs", "seconds") if (value := part(stamp, name)) is not None), None)
-    rest = next((v for name in ("nanosec", "nsec", "nsecs", "nanos") if (v := part(stamp, name)) is not None), 0)
+    whole = next((value for name in ("sec", "secs", "seconds") if (value := field_of(stamp, name)) is not None), None)
+    rest = next((v for name in ("nanosec", "nsec", "nsecs", "nanos") if (v := field_of(stamp, name)) is not None), 0)
     if not isinstance(whole, int) or not isinstance(rest, int):
         return None
     return whole * _NS_PER_S + rest or None
 
 
 class Flattener:
-    """Takes the numbers out of one topic's messages, by channel. A joint keeps its index if messages name their joints
-    in another order, or name others."""
+    """Takes the numbers out of one topic's messages, by channel. A joint keeps its index if later messages name their
+    joints in another order, or name other joints."""
 
     def __init__(self, topic: str, type_name: str, facts: dict[str, Fact]) -> None:
-        """facts: of the source, by channel; new channels are added."""
+        """facts: the source's, by channel; new channels are added to it."""
         self.topic, self.type_name, self._facts = topic, type_name, facts
         self._indices: dict[str, dict[str, int]] = {}  # by the path of the names, the index of each
 
@@ -68,47 +68,48 @@ class Flattener:
         return found
 
     def _add_message(self, path: str, message: Any, found: dict[str, float]) -> None:
-        """Adds to `found` the numbers of a message, or of an inner message, at `path`."""
+        """Adds to `found` the numbers of a message, or of an inner message, at `path`; times, headers and layouts are
+        left out."""
         parts = fields(message)
-        names = next((list(v) for name, v in parts if name in _NAMES and _texts(v)), None)
+        names = next((list(v) for name, v in parts if name in _NAMES and _is_list_of_texts(v)), None)
         for name, value in parts:
             if name in ("header", "timestamp", "stamp", "layout"):
                 continue
             self._add_field(f"{path}.{name}", value, names, found)
 
     def _add_field(self, path: str, value: Any, names: list[str] | None, found: dict[str, float]) -> None:
-        """Adds to `found` the numbers of a field at `path`: a number, an array of at most LONGEST_ARRAY, or inner
-        messages. Texts and longer arrays are left out. names: of joints in the same message, which label arrays of the
-        same length; None without."""
+        """Adds to `found` the numbers of a field at `path`: a number, an array of at most LONGEST_ARRAY, or those of
+        inner messages. Texts and longer arrays are left out. names: the joints' names in the same message, None
+        without; they label the arrays of their length."""
         if isinstance(value, _NUMBER):
             self._add_number(path, float(value), "", found)
         elif value is None or isinstance(value, _NO_NUMBERS):
             return
-        elif isinstance(value, np.ndarray) or _is_list(value):
+        elif isinstance(value, np.ndarray) or _is_sequence(value):
             if not 0 < len(value) <= LONGEST_ARRAY:
                 return
             if isinstance(value[0], _NUMBER):
                 labels = names if names is not None and len(names) == len(value) else None
                 for k, number in enumerate(value):
-                    index = self._index(path, labels[k]) if labels else k
+                    index = self._index_of(path, labels[k]) if labels else k
                     self._add_number(f"{path}[{index}]", float(number), labels[k] if labels else "", found)
             else:
                 for k, each in enumerate(value):
-                    key = next((str(t) for name in _KEYS if isinstance(t := part(each, name), str) and t), str(k))
+                    key = next((str(t) for name in _KEYS if isinstance(t := field_of(each, name), str) and t), str(k))
                     self._add_message(f"{path}[{key}]", each, found)
         else:
             self._add_message(path, value, found)
 
     def _add_number(self, path: str, number: float, label: str, found: dict[str, float]) -> None:
-        """Adds a number to `found` under its channel `path`, and a new channel to the facts. label: the joint's name,
-        "" without."""
+        """Adds a number to `found` under its channel `path`, and the channel to the facts if it is new. label: the
+        joint's name, "" without."""
         found[path] = number
         if path not in self._facts:
             self._facts[path] = Fact(self.type_name, label, _defined_unit(self.type_name, path))
 
-    def _index(self, path: str, name: str) -> int:
-        """The index under which a joint's name is kept for the array at `path`: always the same; a new name gets the
-        next free one."""
+    def _index_of(self, path: str, name: str) -> int:
+        """The index that a joint has in the array at `path`: always the same one; a new name gets the next free one,
+        which is remembered."""
         known = self._indices.setdefault(path, {})
         return known.setdefault(name, len(known))
 
@@ -117,7 +118,7 @@ _Key = tuple[str, frozenset[str]]  # topic, names of its channels
 _Row = tuple[float, float, dict[str, float]]  # log_s, stamp_s (as in Batch), numbers by channel
 
 
-class Gathered:
+class BatchBuilder:
     """Collects rows of several topics into batches. Messages of one topic that hold other channels (two publishers of
     joints, optional fields) go into batches of their own, so that no row lacks a channel of its batch."""
 
@@ -128,8 +129,8 @@ class Gathered:
 
     def add(self, group: str, log_s: float, stamp_s: float, values: dict[str, float]) -> Batch | None:
         """Keeps a row: a message's numbers by channel. group: its topic; log_s, stamp_s: as in Batch, NaN without a
-        stamp. Returns a batch that is full now (or the longest one, where all together hold too many rows), else
-        None."""
+        stamp. Returns the row's batch once that has BATCH_ROWS rows, or the longest batch once _MOST_HELD rows are kept
+        in all, and no longer keeps its rows; else None."""
         key = (group, frozenset(values))
         rows = self._rows.setdefault(key, [])
         rows.append((log_s, stamp_s, values))
@@ -141,13 +142,13 @@ class Gathered:
         return None
 
     def rest(self) -> Iterator[Batch]:
-        """Batches of all rows that are still held."""
+        """Yields batches of all rows that are still kept."""
         for key in list(self._rows):
             if self._rows[key]:
                 yield self._batch(key)
 
     def _batch(self, key: _Key) -> Batch:
-        """Takes the rows under a key out as a batch."""
+        """Removes the rows under a key and returns them as a batch; its stamps are None where no row has one."""
         rows = self._rows.pop(key)
         self._held -= len(rows)
         stamps = np.array([row[1] for row in rows])
@@ -168,29 +169,32 @@ def is_picture(type_name: str) -> bool:
 
 
 def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
-    """The picture in a message of an image topic, without the padding behind its rows; None where its encoding cannot
-    be taken into a video, or its data is cut. log_s, stamp_s: as in Picture."""
-    data = part(message, "data")
-    raw = _bytes(data)
-    width, height = part(message, "width"), part(message, "height")
+    """The picture in a message of an image topic, without the padding behind its rows (a row takes `step` bytes); 16
+    bit pixels are made little-endian. None where its encoding cannot be taken into a video, or its data is cut. log_s,
+    stamp_s: as in Picture."""
+    data = field_of(message, "data")
+    raw = _bytes_of(data)
+    width, height = field_of(message, "width"), field_of(message, "height")
     if width is None:
         codec = _ENCODED.get(raw[:2])
         return Picture(log_s, stamp_s, raw, codec) if codec else None
-    layout = _RAW.get(str(part(message, "encoding")))
+    layout = _RAW.get(str(field_of(message, "encoding")))
     if layout is None:
         return None
+    # bytes of a row without padding
     used = int(width) * {"gray": 1, "gray16le": 2, "rgba": 4, "bgra": 4}.get(layout, 3)
-    step = int(part(message, "step") or used)
+    step = int(field_of(message, "step") or used)
     if used == 0 or height == 0 or step < used or len(raw) < step * int(height):
         return None
     rows = np.frombuffer(raw, np.uint8, step * int(height)).reshape(int(height), step)[:, :used]
-    if layout == "gray16le" and part(message, "is_bigendian"):
+    if layout == "gray16le" and field_of(message, "is_bigendian"):
         rows = np.ascontiguousarray(rows).view(np.uint16).byteswap().view(np.uint8)
     return Picture(log_s, stamp_s, rows.tobytes(), layout, int(width), int(height))
 
 
-def _bytes(data: Any) -> bytes:
-    """A picture's data as bytes, however its message was decoded: JSON has it as base64 text. b"" where it is none."""
+def _bytes_of(data: Any) -> bytes:
+    """A picture's data as bytes, however its message was decoded: JSON has base64 text. b"" for None, or a text that is
+    no base64."""
     if isinstance(data, str):
         try:
             return b64decode(data, validate=True)
@@ -202,19 +206,19 @@ def _bytes(data: Any) -> bytes:
 
 
 def _defined_unit(type_name: str, path: str) -> str:
-    """The unit of a channel by the definition of its message type: ROS has joints' positions in radians and efforts in
-    newton metres (REP 103). "" for all else."""
+    """The unit of a channel by the definition of its message type: ROS has joint positions in radians and efforts in
+    newton metres (REP 103). "" for all other channels."""
     if type_name.replace("/", ".").split(".")[-1] in ("JointState", "JointTrajectoryControllerState"):
         field = path.rsplit(".", 1)[-1]
         return "rad" if field.startswith("position") else "Nm" if field.startswith("effort") else ""
     return ""
 
 
-def _is_list(value: Any) -> bool:
-    """Whether a value is a sequence: a list, an array, also a text."""
+def _is_sequence(value: Any) -> bool:
+    """Whether a value has a length and items by index, and is no dictionary: a list, an array, also a text."""
     return not isinstance(value, Mapping) and hasattr(value, "__len__") and hasattr(value, "__getitem__")
 
 
-def _texts(value: Any) -> bool:
-    """Whether a value is a list of texts, told by its first one; not where it is empty."""
-    return _is_list(value) and len(value) > 0 and isinstance(value[0], str) and not isinstance(value, str)
+def _is_list_of_texts(value: Any) -> bool:
+    """Whether a value is a list of texts, by its first item; False for an empty list and for a text."""
+    return _is_sequence(value) and len(value) > 0 and isinstance(value[0], str) and not isinstance(value, str)

@@ -10,7 +10,7 @@ import numpy as np
 
 from tautline.io.importing.listing import QUATERNION_TYPE, Channel, Listing
 from tautline.io.importing.source import Array
-from tautline.io.importing.units import ANGLES, DEG_PER_RAD, LENGTHS, Named, dimension, suspected, unit_in
+from tautline.io.importing.units import ANGLES, DEG_PER_RAD, LENGTHS, Named, recorded_unit, suspected_unit, unit_in
 from tautline.rig import UNITS as RIG_UNITS
 
 _MOST = 96  # tolerance: channels that are compared: the ones that change most often
@@ -56,20 +56,21 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class _Compared:
+class _Comparison:
     """How n channels move together."""
 
     names: list[str]
-    correlation: Array  # (n, n) size of the correlation of changes, at the lag where it is greatest
-    lag_s: Array  # (n, n) that lag: by how much j is later than i
+    correlation: Array  # (n, n) absolute correlation of the changes of i and j, at the lag where it is largest
+    lag_s: Array  # (n, n) that lag, s: by how much j is later than i
     span: Array  # (n,) from the 5th to the 95th percentile, the channel's unit
-    turning: Array = field(repr=False)  # (n, n) size of the correlation of i's values with the direction of j's motion
+    turning: Array = field(repr=False)  # (n, n) absolute correlation of i's values with the direction of j's motion
     grid: Array = field(repr=False)  # (n, k) values at k common times
 
 
 def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
-    """Proposes which channels of an episode are motor, tip, command, load and video, with their units, and notes how
-    each was found. hold: roles that the user has named, which stay."""
+    """Proposes which channels of an episode are motor, tip, command, load and video, with their units; its notes say
+    how each was found. hold: the roles that the user has named, which stay. Without a motor only a video is
+    proposed."""
     held = hold or Proposal()
     compared = _compare(listing)
     notes: list[str] = []
@@ -94,22 +95,23 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
     taken = {motor.name, *(each.name for each in tip)}
     command = held.command
     if command is None and motor.name in index:
-        command = _command(listing, compared, index[motor.name], taken)
+        command = _likely_command(listing, compared, index[motor.name], taken)
     if command is None and _name_suggests("command", motor.name):
         notes.append(f"{motor.name} is what was commanded: the servo's lag is then measured with the backlash")
-    load = held.load or _load(listing, compared, motor, taken | ({command.name} if command else set()))
+    load = held.load or _likely_load(listing, compared, motor, taken | ({command.name} if command else set()))
     video = held.video or (next(iter(listing.videos), None) if len(listing.videos) else None)
     if len(listing.videos) > 1 and held.video is None:
         notes.append(f"{video} is the first of {len(listing.videos)} videos: {', '.join(listing.videos)}")
     return _with_units(Proposal(motor, tip, command, load, video, held.unit, tuple(notes)), listing)
 
 
-def _compare(listing: Listing) -> _Compared:
+def _compare(listing: Listing) -> _Comparison:
     """Compares the channels that move (see `_moving_channels`) by the cross-correlation of their changes over
-    _CHANGE_S, at _GRID common times. Where there are fewer than two, or the episode is too short, all are unrelated."""
+    _CHANGE_S, at _GRID common times. Where there are fewer than two channels, or the episode is too short for that, no
+    channel is related to another (correlation 0)."""
     channels = _moving_channels(listing)
     n = len(channels)
-    unrelated = _Compared(
+    unrelated = _Comparison(
         [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
     )
     if n < 2:
@@ -127,15 +129,15 @@ def _compare(listing: Listing) -> _Compared:
     correlation, lags = _strongest_correlations(change, min(max(1, round(_LAG_S / step)), change.shape[1] // 4))
     # The direction of motion, 0 at rest.
     moving = np.sign(np.where(np.abs(change) > _RESTS * np.abs(change).max(axis=1, keepdims=True), change, 0.0))
-    middle = grid[:, over // 2 : over // 2 + change.shape[1]]
+    middle = grid[:, over // 2 : over // 2 + change.shape[1]]  # the values half way through each change
     turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:])
     low, high = np.percentile(grid, [5.0, 95.0], axis=1)
-    return _Compared([c.name for c in channels], correlation, lags * step, high - low, np.nan_to_num(turning), grid)
+    return _Comparison([c.name for c in channels], correlation, lags * step, high - low, np.nan_to_num(turning), grid)
 
 
 def _moving_channels(listing: Listing) -> list[Channel]:
-    """The channels that move and have _LEAST_ROWS numbers, in the listing's order; of more than _MOST those whose value
-    changes in most rows."""
+    """The channels that move and have at least _LEAST_ROWS numbers, in the listing's order, without an orientation's x,
+    y, z, w. Of more than _MOST those are taken whose value changes in the largest share of their rows."""
     channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
     channels = [c for c in channels if np.isfinite(c.values).sum() >= _LEAST_ROWS]
     changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
@@ -145,7 +147,8 @@ def _moving_channels(listing: Listing) -> list[Channel]:
 
 
 def _common_times(channels: Sequence[Channel]) -> Array:
-    """(_GRID,) even times, s, within those that all channels have; without any, from the first to the last of all."""
+    """_GRID evenly spaced times, s, within the span of time that all channels have in common; without one, from the
+    first to the last time of any channel."""
     first = max(float(c.t_s[0]) for c in channels)
     last = min(float(c.t_s[-1]) for c in channels)
     if not last > first:
@@ -154,11 +157,11 @@ def _common_times(channels: Sequence[Channel]) -> Array:
 
 
 def _strongest_correlations(series: Array, most: int) -> tuple[Array, Array]:
-    """Cross-correlates n series (n, k), each of mean 0 and norm 1, at lags up to `most` samples either way. Returns for
-    each pair (i, j) the size of the strongest correlation and its lag in samples, by which j is later than i, (n, n)
-    each."""
+    """Cross-correlates n series (n, k), each of mean 0 and norm 1, at lags up to `most` samples either way. Returns,
+    for each pair (i, j), (n, n) each: the largest absolute correlation, and its lag in samples, by which j is later
+    than i."""
     n, size = len(series), 2 * series.shape[1]
-    spectra = np.fft.rfft(series, size)
+    spectra = np.fft.rfft(series, size)  # twice as long, so that lags do not wrap around
     correlation, lag = np.eye(n), np.zeros((n, n))
     for i in range(n):
         crossed = np.fft.irfft(spectra * np.conj(spectra[i]), size)
@@ -170,7 +173,7 @@ def _strongest_correlations(series: Array, most: int) -> tuple[Array, Array]:
 
 
 def _values_at(times: Array, channel: Channel) -> Array:
-    """A channel's values (n,) at times (n,) s, straight between its finite rows."""
+    """A channel's values (n,) at times (n,), s, interpolated linearly between its finite rows."""
     finite = np.isfinite(channel.values)
     order = np.argsort(channel.t_s[finite], kind="stable")
     values: Array = np.interp(times, channel.t_s[finite][order], channel.values[finite][order])
@@ -178,15 +181,15 @@ def _values_at(times: Array, channel: Channel) -> Array:
 
 
 def _motor_and_tip(
-    listing: Listing, compared: _Compared, motor: Named | None, tip: Sequence[Named]
+    listing: Listing, compared: _Comparison, motor: Named | None, tip: Sequence[Named]
 ) -> tuple[int, int] | None:
-    """The likeliest motor and tip, as indices in `compared`; None where no two channels move together. It is the pair
-    with the best score: the correlation of their changes, a tip that is later, and, weighing less, their names, units
-    and places in a chain command, motor, tip. motor, tip: as the user named them, None or empty without."""
+    """The likeliest motor and tip, as indices in `compared`: the pair with the best score. The score is the correlation
+    of their changes; a lag lowers it, a tip that is later raises it; names, units, a wide motion, and places in a chain
+    command, motor, tip weigh less. None where no two channels move together. motor, tip: what the user named, None or
+    empty without."""
     names = compared.names
     best: tuple[int, int, float] | None = None
-    before, after = _likely_chains(listing, compared)
-    widest = float(compared.span.max()) if len(names) else 1.0
+    has_command, has_follower = _likely_chains(listing, compared)
     for m, of_motor in enumerate(names):
         if motor is not None and of_motor != motor.name:
             continue
@@ -194,36 +197,47 @@ def _motor_and_tip(
             together = compared.correlation[m, t]
             if m == t or together < _MOVES or (tip and of_tip != tip[0].name):
                 continue
-            lag = compared.lag_s[m, t]
-            score = together - 0.5 * abs(lag) / _LAG_S
-            score += _LATE * (np.sign(lag) if abs(lag) > _SIMULTANEOUS_S else 0.0)
-            score += _HINT * (_name_suggests("motor", of_motor) - _name_suggests("motor", of_tip))
-            score += _HINT * (_name_suggests("tip", of_tip) - _name_suggests("tip", of_motor))
-            score -= _HINT * (2 * _name_suggests("command", of_tip) + _name_suggests("command", of_motor))
-            score -= _AGAINST * (_is_no_position(of_motor, listing) + _is_no_position(of_tip, listing))
-            score += _SPAN * compared.span[m] / widest
-            score += _CHAIN * (float(before[m]) - float(after[t]))
-            if listing.channels[of_motor].fact.type == QUATERNION_TYPE:
-                score -= _AGAINST  # an orientation is a tip's
+            score = _pair_score(listing, compared, m, t, float(has_command[m]) - float(has_follower[t]))
             if best is None or score > best[2]:
-                best = (m, t, float(score))
+                best = (m, t, score)
     return best and best[:2]
 
 
-def _likely_chains(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
-    """Two masks (n,) over the compared channels, by what follows what closely and later: whether a channel follows
-    another one that moves as much, which is then its likely command; and whether others follow it, so that it is no
-    tip."""
-    places = np.array([not _is_no_position(name, listing) for name in compared.names], dtype=bool)
+def _pair_score(listing: Listing, compared: _Comparison, m: int, t: int, chain: float) -> float:
+    """How likely channel m is the motor and channel t the tip (indices in `compared`), larger where likelier: the
+    correlation of their changes, less for a lag, more for a tip that is later, with hints by names, units and m's span.
+    chain: 1 where m follows a likely command, less 1 where another channel follows t (see `_likely_chains`)."""
+    of_motor, of_tip = compared.names[m], compared.names[t]
+    lag = compared.lag_s[m, t]
+    score = compared.correlation[m, t] - 0.5 * abs(lag) / _LAG_S
+    score += _LATE * (np.sign(lag) if abs(lag) > _SIMULTANEOUS_S else 0.0)
+    score += _HINT * (_name_suggests("motor", of_motor) - _name_suggests("motor", of_tip))
+    score += _HINT * (_name_suggests("tip", of_tip) - _name_suggests("tip", of_motor))
+    score -= _HINT * (2 * _name_suggests("command", of_tip) + _name_suggests("command", of_motor))
+    score -= _AGAINST * (_is_no_position(of_motor, listing) + _is_no_position(of_tip, listing))
+    score += _SPAN * compared.span[m] / float(compared.span.max())
+    score += _CHAIN * chain
+    if listing.channels[of_motor].fact.type == QUATERNION_TYPE:
+        score -= _AGAINST  # an orientation is a tip's
+    return float(score)
+
+
+def _likely_chains(listing: Listing, compared: _Comparison) -> tuple[Array, Array]:
+    """Two masks (n,) over the compared channels. The first: a channel that follows another one closely, later and with
+    as wide a motion, which is then its likely command. The second: a channel that another one follows closely and
+    later, so that it is no tip."""
+    are_positions = np.array([not _is_no_position(name, listing) for name in compared.names], dtype=bool)
     span = np.maximum(compared.span, 1e-12)
-    follows = (compared.correlation > _CHAINED) & (compared.lag_s > _SIMULTANEOUS_S) & places[:, None] & places
+    follows = (
+        (compared.correlation > _CHAINED) & (compared.lag_s > _SIMULTANEOUS_S) & are_positions[:, None] & are_positions
+    )
     alike = np.abs(np.log(span[:, None] / span)) < np.log(_ALIKE)
     return (follows & alike).any(axis=0), follows.any(axis=1)
 
 
-def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str]) -> Named | None:
-    """The likeliest command of a motor (an index in `compared`): a channel that moves with it and as far, in any unit
-    of angle, and is earlier or has a command's name. None where there is none. taken: channels that have a role
+def _likely_command(listing: Listing, compared: _Comparison, motor: int, taken: set[str]) -> Named | None:
+    """The likeliest command of a motor (an index in `compared`): a channel that moves with it and as far, in deg or
+    rad, and that is earlier or has a command's name. None where there is none. taken: the channels that have a role
     already."""
     best: tuple[float, str] | None = None
     for k, name in enumerate(compared.names):
@@ -245,18 +259,20 @@ def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str])
     return Named(best[1]) if best else None
 
 
-def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) -> Named | None:
-    """The likeliest load on the motor: the channel with a load's name or unit; of several the first that is of the
-    motor's joint, and None where none is, as each may be another joint's. Without any such channel the one that goes
-    most with the direction of the motor's motion, as friction does: by _FRICTION at least, and by more than its changes
-    correlate with the motor's, at whatever lag. None where there is none. taken: channels that have a role already."""
-    joint = _joint(motor.name, listing)
+def _likely_load(listing: Listing, compared: _Comparison, motor: Named, taken: set[str]) -> Named | None:
+    """The likeliest load on the motor, None where there is none. taken: the channels that have a role already.
+
+    It is a channel with a load's name or unit: the first one of the motor's joint, or the only one; of several others
+    none is taken, as each may be another joint's. Where no channel has such a name, it is the one that correlates most
+    with the direction of the motor's motion, as friction does: by _FRICTION at least, and by more than its changes
+    correlate with the motor's."""
+    joint = _joint_of(motor.name, listing)
     named = [
         name
         for name, c in listing.channels.items()
-        if name not in taken and c.moves and (_name_suggests("load", name) or dimension(c.fact.unit) == "mNm")
+        if name not in taken and c.moves and (_name_suggests("load", name) or recorded_unit(c.fact.unit) == "mNm")
     ]
-    same = [name for name in named if joint and _joint(name, listing) == joint]
+    same = [name for name in named if joint and _joint_of(name, listing) == joint]
     if same or len(named) == 1:
         return Named((same or named)[0])
     if named or motor.name not in compared.names:
@@ -276,8 +292,8 @@ def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) 
 
 
 def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
-    """The tip's channels if `name` is one of them: u, then v where it is a coordinate of a place in the image, else
-    `name` alone."""
+    """The channels of the tip that `name` is one of: u, then v, where it is a coordinate of a place in the image and
+    its partner is there; else `name` alone."""
     for one, other in (("u", "v"), ("x", "y")):
         for this, that, first in ((one, other, True), (other, one, False)):
             match = re.search(rf"(?<![A-Za-z0-9]){this}(?=(_px|\s*[\[(]px|$))", name)
@@ -291,13 +307,14 @@ def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
 
 
 def _with_units(found: Proposal, listing: Listing) -> Proposal:
-    """The proposal with the unit of q and of each channel filled in: the user's, the file's, or the one in the name;
-    else the likeliest by ratios and ranges, which is noted as a guess."""
+    """The proposal with the unit of q and of each channel filled in. A unit is the user's, the file's or the one in the
+    name; else a guess by ratios and ranges, which is added to the notes. A channel with the user's factor gets no
+    unit."""
     assert found.motor is not None
     notes = list(found.notes)
     motor_unit = _stated_unit(found.motor, listing)
     tip = found.tip
-    unit = found.unit or dimension(motor_unit)
+    unit = found.unit or recorded_unit(motor_unit)
     if unit not in RIG_UNITS:
         unit, motor_unit = "deg", ""
     one_angle = len(tip) == 1
@@ -316,7 +333,7 @@ def _with_units(found: Proposal, listing: Listing) -> Proposal:
     load = found.load
     if load is not None and load.factor is None:
         stated = _stated_unit(load, listing)
-        load = replace(load, unit=stated if dimension(stated) == "mNm" else "")
+        load = replace(load, unit=stated if recorded_unit(stated) == "mNm" else "")
         if not load.unit:
             notes.append(f"no unit is known of {load.name}: it is taken as mNm; its scale matters to no result")
     motor = found.motor if found.motor.factor is not None else replace(found.motor, unit=motor_unit)
@@ -324,8 +341,8 @@ def _with_units(found: Proposal, listing: Listing) -> Proposal:
 
 
 def _stated_unit(named: Named, listing: Listing) -> str:
-    """The unit of a channel that the user gave, else the file's, else the one in its name or label; "" where none is
-    known."""
+    """The unit of a channel: the user's, else the file's, else the one in its name or label; "" where none of them says
+    one."""
     channel = listing.channels.get(named.name)
     if named.unit or channel is None:
         return named.unit
@@ -335,8 +352,8 @@ def _stated_unit(named: Named, listing: Listing) -> str:
 def _guess_units(
     motor: Named, motor_unit: str, tip: Named, tip_unit: str, unit: str, listing: Listing, notes: list[str]
 ) -> tuple[str, str]:
-    """The units of motor and tip: motor_unit and tip_unit where these are known, for "" the likeliest by ratios and
-    ranges, which is added to `notes`. unit: of the recording's q, deg or mm."""
+    """The units of motor and tip: motor_unit and tip_unit where they are known; a unit that is "" is guessed by ratios
+    and ranges, and the guess is added to `notes`. unit: of the recording's q, deg or mm."""
     m, t = listing.channels[motor.name], listing.channels[tip.name]
     if unit == "deg":
         likely = _units_by_ratio(m, motor_unit, t, tip_unit) or _units_by_range([m, t], listing)
@@ -349,54 +366,54 @@ def _guess_units(
 
 
 def _units_by_ratio(m: Channel, motor_unit: str, t: Channel, tip_unit: str) -> dict[str, str]:
-    """Guesses the units of motor `m` and tip `t`, by channel, from how far one moves beside the other: if one moves 57
-    times less it is in radians; else both are in degrees, if one unit is known (motor_unit, tip_unit; "" if not). Empty
-    where neither is known and the ratio says nothing."""
+    """Guesses the units of motor `m` and tip `t`, by channel name, from how far each moves. If one moves 57 times less
+    than the other, it is in radians; else both are in degrees if one unit is known (motor_unit, tip_unit; "" if not).
+    {} where neither is known and the ratio does not mean radians."""
     spans = [ANGLES.get(known, 1.0) * max(c.high - c.low, 1e-12) for c, known in ((m, motor_unit), (t, tip_unit))]
     for less, more, known in ((0, 1, motor_unit), (1, 0, tip_unit)):
         channel = (m, t)[less]
         finite = channel.values[np.isfinite(channel.values)]
         may_be = not known and channel.fact.usual != "deg"
-        if may_be and suspected(spans[more] / spans[less], finite, "deg", 1.0) == "rad":
+        if may_be and suspected_unit(spans[more] / spans[less], finite, "deg", 1.0) == "rad":
             return {m.name: "deg", t.name: "deg"} | {channel.name: "rad"}
     return {m.name: "deg", t.name: "deg"} if motor_unit or tip_unit else {}
 
 
 def _units_by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, str]:
-    """Guesses the unit of angle, by channel, that channels share, from their ranges: radians if none goes beyond a turn
-    and one moves by more than a little, unless they are known to be degrees or look like shares of a range; else
-    degrees."""
+    """Guesses the one unit of angle that these channels have, by channel name. It is radians if no value goes beyond a
+    turn and one channel moves by more than _SMALL, unless one is known to be in degrees or looks like a share of a
+    range; else degrees."""
     spans = [c.high - c.low for c in channels]
-    ends = [abs(end) for c in channels for end in (*_ends(c), _usual_end(c, listing))]
-    known_otherwise = any(c.fact.usual == "deg" or _full_scale(c) for c in channels)
-    radians = not known_otherwise and max(ends) <= _WHOLE_TURN and max(spans) > _SMALL
+    farthest = [abs(end) for c in channels for end in (*_extremes(c), _reach_of_array(c, listing))]
+    known_otherwise = any(c.fact.usual == "deg" or _full_scale_of(c) for c in channels)
+    radians = not known_otherwise and max(farthest) <= _WHOLE_TURN and max(spans) > _SMALL
     return {c.name: "rad" if radians else "deg" for c in channels}
 
 
-def _ends(channel: Channel) -> tuple[float, float]:
-    """The lowest and the highest value of a channel, over all episodes where the file says them."""
+def _extremes(channel: Channel) -> tuple[float, float]:
+    """The lowest and the highest value of a channel, over all episodes where the file states them."""
     return float(np.fmin(channel.low, channel.fact.low)), float(np.fmax(channel.high, channel.fact.high))
 
 
-def _usual_end(channel: Channel, listing: Listing) -> float:
-    """How far from 0 the channels of the same array (which have one unit) go, the median over those that move; 0 for a
-    channel of no array."""
+def _reach_of_array(channel: Channel, listing: Listing) -> float:
+    """How far from 0 the moving channels of the same array (which have one unit) go: the median of their largest
+    absolute values. 0 for a channel of no array."""
     group = channel.name.rpartition("[")[0]
     others = [c for name, c in listing.channels.items() if group and name.startswith(f"{group}[") and c.moves]
-    return float(np.median([max(map(abs, _ends(c))) for c in others])) if others else 0.0
+    return float(np.median([max(map(abs, _extremes(c))) for c in others])) if others else 0.0
 
 
-def _full_scale(channel: Channel) -> float:
-    """1 or 100 if a channel's values end exactly there, and at 0 or the negative of it, as shares of a range do; else
-    0."""
-    low, high = _ends(channel)
+def _full_scale_of(channel: Channel) -> float:
+    """The full scale, 1 or 100, that a channel's values seem to be shares of: its highest value is exactly that, and
+    its lowest is 0 or the negative of it. 0 where it looks like no share."""
+    low, high = _extremes(channel)
     return high if high in (1.0, 100.0) and low in (0.0, -high) else 0.0
 
 
 def _guess_note(channel: Channel, name: str, guess: str, listing: Listing) -> str:
-    """The note on a channel's guessed unit, for the user. name: as the channel is written."""
+    """The note for the user on a channel's guessed unit, `guess`. name: the channel as the user would write it."""
     says = f"no unit is known of {name}: it moves by {channel.high - channel.low:.4g} in all, "
-    if full := _full_scale(channel):
+    if full := _full_scale_of(channel):
         return (
             f"{says}and ends at exactly {full:g}, as shares of a range do: write what one is in deg behind its name: "
             f"{name}:{110.0 / full:g} for ±110 deg"
@@ -410,17 +427,17 @@ def _name_suggests(role: str, name: str) -> bool:
 
 
 def _is_no_position(name: str, listing: Listing) -> bool:
-    """Whether a channel is no position by its name or unit, but a speed, a load, a time or a status."""
+    """Whether a channel is not a position, by its name or unit, but such as a speed, a load, a time or a status."""
     return (
         bool(_NO_PLACE.search(name.lower()))
         or _name_suggests("load", name)
-        or dimension(listing.channels[name].fact.unit) == "mNm"
+        or recorded_unit(listing.channels[name].fact.unit) == "mNm"
     )
 
 
-def _joint(name: str, listing: Listing) -> str:
-    """A key of the joint that a channel belongs to: its label, else its topic with its index; "" for an unknown
-    channel."""
+def _joint_of(name: str, listing: Listing) -> str:
+    """A key of the joint that a channel belongs to: its label, else its topic, with its index if the name ends in one;
+    "" for an unknown channel."""
     channel = listing.channels.get(name)
     if channel is None:
         return ""

@@ -9,8 +9,16 @@ from typing import Any
 
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
-from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
-from tautline.io.importing.source import Batch, Fact, Picture, no_pictures, no_video, origin_of, seconds_since
+from tautline.io.importing.messages import BatchBuilder, Flattener, is_picture, picture, stamp_ns
+from tautline.io.importing.source import (
+    Batch,
+    Fact,
+    Picture,
+    no_video_error,
+    origin_of,
+    seconds_since,
+    unknown_encoding_error,
+)
 
 
 class Rosbag:
@@ -19,7 +27,8 @@ class Rosbag:
     numbers = "topic"
 
     def __init__(self, path: Path) -> None:
-        """Reads the bag's index. TautError where it is cut or no bag, or the library is missing."""
+        """Reads the bag's index: its topics with pictures, its first time and its number of messages. TautError where
+        it is cut or no bag, or the library is missing."""
         self.path = path
         self.kind = "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag"
         self.facts: dict[str, Fact] = {}
@@ -27,7 +36,7 @@ class Rosbag:
         self.notes: list[str] = []
         self._highlevel = library("rosbags.highlevel", f"{path}: a {self.kind}")
         self._typesys = library("rosbags.typesys", "a ROS bag")
-        with self._opened() as reader:
+        with self._open_reader() as reader:
             self._count = reader.message_count
             first_ns = reader.start_time if self._count else 0
             self.videos += sorted({c.topic for c in reader.connections if is_picture(c.msgtype)})
@@ -40,45 +49,45 @@ class Rosbag:
         return (0,) if self._count else ()
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The numbers in the messages of these topics (None: all), in batches. Topics whose type is not defined are
-        left out, with a note."""
-        gathered = Gathered()
+        """Yields the numbers in the messages of these topics (None: all), in batches. Topics with a type that the bag
+        does not define are left out, and `notes` says so. episode: unused."""
+        builder = BatchBuilder()
         flatteners: dict[str, Flattener] = {}
-        with self._opened() as reader:
+        with self._open_reader() as reader:
             chosen = [
                 c for c in reader.connections if not is_picture(c.msgtype) and (groups is None or c.topic in groups)
             ]
             for connection, log_ns, raw in reader.messages(chosen) if chosen else ():
-                message = self._decoded(reader, connection, raw)
+                message = self._decode(reader, connection, raw)
                 if message is None:
                     continue
                 topic = connection.topic
                 if topic not in flatteners:
                     flatteners[topic] = Flattener(topic, connection.msgtype, self.facts)
-                batch = gathered.add(
+                batch = builder.add(
                     topic, self._seconds(log_ns), self._seconds(stamp_ns(message)), flatteners[topic].values(message)
                 )
                 if batch is not None:
                     yield batch
-        yield from gathered.rest()
+        yield from builder.rest()
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
-        """The pictures of an image topic. TautError where there is no such topic, or its pictures have an unknown
-        encoding."""
-        with self._opened() as reader:
+        """Yields the pictures of the image topic `video`. TautError where there is no such topic, or a picture has an
+        unknown encoding. episode: unused."""
+        with self._open_reader() as reader:
             chosen = [c for c in reader.connections if c.topic == video and is_picture(c.msgtype)]
-            if not chosen:  # to the library no connections are all
-                raise no_video(self.path, video, self.videos)
+            if not chosen:  # an empty list would mean all topics to the library
+                raise no_video_error(self.path, video, self.videos)
             for connection, log_ns, raw in reader.messages(chosen):
                 message = reader.deserialize(raw, connection.msgtype)
                 found = picture(message, self._seconds(log_ns), self._seconds(stamp_ns(message)))
                 if found is None:
-                    raise no_pictures(self.path, video)
+                    raise unknown_encoding_error(self.path, video)
                 yield found
 
-    def _decoded(self, reader: Any, connection: Any, raw: bytes) -> Any:
-        """Decodes a message of a connection (topic and type); None, with a note, where the bag does not define its
-        type."""
+    def _decode(self, reader: Any, connection: Any, raw: bytes) -> Any:
+        """Decodes a message of a connection (topic and type). None, and a line in `notes`, where the bag does not
+        define the type."""
         try:
             return reader.deserialize(raw, connection.msgtype)
         except KeyError:
@@ -88,9 +97,9 @@ class Rosbag:
             return None
 
     @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        """A context with a reader of the bag. Errors of the library, also within the block, become a TautError: the bag
-        is cut or none."""
+    def _open_reader(self) -> Iterator[Any]:
+        """A context with an open reader of the bag. Errors of the library, also those within the block, become a
+        TautError that says that the bag is cut or none, and how to mend it."""
         store = self._typesys.get_typestore(self._typesys.Stores.LATEST)
         try:
             with self._highlevel.AnyReader([self.path], default_typestore=store) as reader:
@@ -107,5 +116,5 @@ class Rosbag:
             raise TautError(f"{self.path}: is cut short or no {self.kind} ({what}): {mend}") from error
 
     def _seconds(self, time_ns: int | None) -> float:
-        """As `seconds_since` the source's origin."""
+        """A time of the bag, ns, as s since the source's origin; NaN for None."""
         return seconds_since(self._origin_ns, time_ns)

@@ -84,27 +84,27 @@ class Source(Protocol):
         where there is no such channel."""
 
 
-def no_video(path: Path, video: str, known: Collection[str] = ()) -> TautError:
-    """The error to raise where a source has no such channel of pictures. known: those that it has."""
+def no_video_error(path: Path, video: str, known: Collection[str] = ()) -> TautError:
+    """The error to raise where a source has no channel of pictures `video`. known: those that it has."""
     return TautError(f"{path}: has no video {video}" + (f": it has {', '.join(known)}" if known else ""))
 
 
-def no_pictures(path: Path, video: str) -> TautError:
-    """The error to raise where a source's channel of pictures holds some of an unknown encoding."""
+def unknown_encoding_error(path: Path, video: str) -> TautError:
+    """The error to raise where a channel of pictures holds one whose encoding is not known."""
     return TautError(f"{path}: {video} holds pictures that are no JPEG, PNG or plain colours")
 
 
-def no_messages(path: Path) -> TautError:
+def no_messages_error(path: Path) -> TautError:
     """The error to raise where a source has no episode."""
     return TautError(f"{path}: is empty: it holds no messages")
 
 
 def seconds_since(origin_ns: int, time_ns: int | None) -> float:
-    """A time in s since the origin, both in ns of one clock; NaN for None."""
+    """The time from origin_ns to time_ns, both ns of one clock, in s; NaN where time_ns is None."""
     return np.nan if time_ns is None else (time_ns - origin_ns) * 1e-9
 
 
 def origin_of(first_s: float) -> float:
-    """What is taken off a source's times, s, whose first is first_s: that one if they count from an epoch (beyond
-    EPOCH_S), else 0."""
+    """The origin that is subtracted from a source's times, s: first_s, the first of them, if they count from an epoch
+    (beyond EPOCH_S), else 0."""
     return first_s if abs(first_s) > EPOCH_S else 0.0

@@ -11,12 +11,12 @@ _UNIT_LENGTH = 0.01  # tolerance: by which a quaternion's length may be off from
 
 
 def bending_deg(quaternions: Array) -> tuple[Array, float]:
-    """The bending angle of a tip from its recorded orientations, quaternions (n, 4) as x, y, z, w: their angles (n,),
-    deg, about the one axis that they turn about most, NaN where a quaternion has not length 1; and the share of their
-    turning that is about this axis, 0 to 1.
+    """The bending angle of a tip from its recorded orientations, quaternions (n, 4) as x, y, z, w. Returns their angles
+    (n,), deg, about the one axis that they turn about most, NaN where a quaternion has not length 1, and the share of
+    their turning that is about this axis, 0 to 1. With fewer than two good quaternions all are NaN and the share is 0.
 
-    With the mean orientation m and r = m^-1 q, the axis is the first principal one of r's rotation vectors; the angle
-    is r's twist about it, 2 atan2(r_v . n, r_w), and m's: 0 is the base's own orientation."""
+    With the mean orientation m and r = m^-1 q, the axis n is the first principal one of r's rotation vectors. The angle
+    is the twist about n, 2 atan2(r_v . n, r_w), of r plus that of m: 0 is the base's own orientation."""
     length = np.linalg.norm(quaternions, axis=1)
     good = np.abs(length - 1.0) < _UNIT_LENGTH
     angles = np.full(len(quaternions), np.nan)
@@ -28,6 +28,7 @@ def bending_deg(quaternions: Array) -> tuple[Array, float]:
     vectors = relative.as_rotvec()
     spread = vectors.T @ vectors
     variances, axes = np.linalg.eigh(spread)
+    # The eigenvector of the largest eigenvalue; its largest component is made positive, so that the sign is unique.
     axis = axes[:, -1] * (1.0 if axes[np.abs(axes[:, -1]).argmax(), -1] > 0.0 else -1.0)
     total = float(variances.sum())
     angles[good] = np.degrees(np.unwrap(_twist(relative.as_quat(), axis)) + _twist(mean.as_quat()[None], axis)[0])

@@ -50,7 +50,7 @@ class Named:
 
 
 def known_unit(text: str, of: Iterable[str] | None = None) -> str:
-    """The unit that a text means, in any spelling that is known, as UNITS spells it; "" where it is none. of: the units
+    """The unit, as UNITS spells it, that a text means in any spelling known here; "" where it means none. of: the units
     to choose from, None: all in UNITS."""
     listed = list(of) if of is not None else [unit for units in UNITS.values() for unit in units]
     stripped = text.strip()
@@ -64,8 +64,8 @@ def known_unit(text: str, of: Iterable[str] | None = None) -> str:
 
 
 def unit_in(name: str, of: Iterable[str] | None = None) -> str:
-    """The unit at the end of a column's name, as in `q_deg`, `Winkel [rad]`, `Zeit (ms)`; "" without. of: as in
-    `known_unit`."""
+    """The unit at the end of a column's name, as in `q_deg`, `Winkel [rad]`, `Zeit (ms)`; "" where there is none. of:
+    as in `known_unit`."""
     for pattern in (_BRACKETED, _SUFFIXED):
         found = pattern.search(name)
         if found and (unit := known_unit(found[1], of)):
@@ -74,8 +74,8 @@ def unit_in(name: str, of: Iterable[str] | None = None) -> str:
 
 
 def split_unit(text: str, names: Iterable[str], of: Iterable[str] | None = None) -> tuple[str, str]:
-    """Splits NAME:UNIT into both; UNIT is "" without one, or where the whole text is one of `names`. of: as in
-    `known_unit`. TautError where the end is no unit."""
+    """Splits NAME:UNIT into (NAME, UNIT); UNIT is "" where the text has no colon or is as a whole one of `names`. of:
+    as in `known_unit`. TautError where what follows the last colon is no unit."""
     if text in names or ":" not in text:
         return text, ""
     name, _, unit = text.rpartition(":")
@@ -86,9 +86,9 @@ def split_unit(text: str, names: Iterable[str], of: Iterable[str] | None = None)
     return name, found
 
 
-def named(text: str, names: Iterable[str]) -> Named:
-    """Reads NAME, NAME:UNIT or NAME:FACTOR, as a user writes a channel; a text that is one of `names` is a NAME.
-    TautError for an unknown unit, or a factor that is not finite or 0."""
+def parse_channel(text: str, names: Iterable[str]) -> Named:
+    """Parses a channel as a user writes it: NAME, NAME:UNIT or NAME:FACTOR; a text that is one of `names` is a NAME.
+    TautError for an unknown unit, or for a factor that is 0 or not finite."""
     if text not in names and ":" in text:
         name, _, last = text.rpartition(":")
         try:
@@ -101,15 +101,15 @@ def named(text: str, names: Iterable[str]) -> Named:
     return Named(*split_unit(text, names))
 
 
-def dimension(unit: str) -> str:
-    """The unit in which a recording has quantities with this unit: deg, mm or mNm; "" for one that is not in UNITS."""
+def recorded_unit(unit: str) -> str:
+    """The unit to which a recording converts this one: deg, mm or mNm; "" for a unit that is not in UNITS."""
     return next((target for target, units in UNITS.items() if unit in units), "")
 
 
 def factor(channel: Named, stated: str, target: str) -> tuple[float, str]:
     """The factor that converts a channel's numbers to the unit `target` (deg, mm or mNm), and in words the unit that
-    was taken for theirs. That is the user's with the channel, else `stated`, the file's; without either ("") the factor
-    is 1. TautError where it is of another kind than `target`."""
+    was assumed. The user's factor or unit of this channel comes first, then `stated`, the file's unit; without either
+    ("") the factor is 1. TautError where the unit is of another kind than `target`."""
     if channel.factor is not None:
         return channel.factor, f"x{channel.factor:g}"
     unit = channel.unit or stated
@@ -123,18 +123,20 @@ def factor(channel: Named, stated: str, target: str) -> tuple[float, str]:
     return UNITS[target][unit], unit
 
 
-def suspected(ratio: float, values: Array, target: str, off: float) -> str:
-    """The unit in which values (n,), taken as `target`, seem to be, as they move `ratio` times too little: 57.3 means
-    radians, 1000 metres. "" where the ratio fits no unit to within a share `off`, or the values cannot be in it."""
+def suspected_unit(ratio: float, values: Array, target: str, off: float) -> str:
+    """The unit in which values (n,), read as `target`, seem to be, where they move `ratio` times too little: 57.3 means
+    radians, 1000 metres. "" where no unit of SPOKEN fits the ratio to within a share `off` of it, or the values are
+    impossible in that unit."""
     for unit, times in UNITS[target].items():
         likely = unit in SPOKEN and abs(log(ratio / times)) < log(1.0 + off) if ratio > 0.0 else False
-        if likely and _possible(unit, values):
+        if likely and _are_possible(unit, values):
             return unit
     return ""
 
 
-def _possible(unit: str, values: Array) -> bool:
-    """Whether values (n,) can be in this unit: ticks are whole numbers, radians and metres not too large."""
+def _are_possible(unit: str, values: Array) -> bool:
+    """Whether values (n,) can be in this unit: ticks have to be whole numbers, radians and metres not larger than a
+    joint turns or a cable moves."""
     most = float(np.max(np.abs(values)))
     if unit == "tick":
         return bool(np.all(values == np.rint(values)))

@@ -21,8 +21,9 @@ _ROUNDED_S = 1e-3  # format: by which a container's times, in its ticks, may be 
 
 
 def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[Array, Array]:
-    """Writes pictures as the Matroska video `path`. Returns the frames' log times and stamps, (n,) s each. name: of the
-    channel, for errors. TautError where there is no picture, one cannot be decoded, or they differ in kind or size."""
+    """Writes pictures as the Matroska video `path`. Returns the frames' log times and their stamps (NaN without), (n,)
+    s each. The file's own times are the log times since the first, in whole ms and made to rise. name: of the channel,
+    for errors. TautError where there is no picture, one cannot be decoded, or they differ in kind or size."""
     av = library("av", f"{name}: video")
     log: list[float] = []
     stamps: list[float] = []
@@ -34,13 +35,13 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
             size = _size(av, each, f"{name}: picture {k}")
             if kind is None:
                 kind = (each.codec, *size)
-                stream = _stream(av, output, each, size)
+                stream = _add_stream(av, output, each, size)
             if kind != (each.codec, *size):
                 raise TautError(f"{name}: picture {k} is {each.codec} {size[0]}x{size[1]}, the first {kind[0]} "
                                 f"{kind[1]}x{kind[2]}: record pictures of one kind and size")  # fmt: skip
             tick = round(max(each.log_s - (log[0] if log else each.log_s), 0.0) / _TICK)
             last = max(tick, last + 1)  # a container's times rise; the frames' own are those that are returned
-            for packet in _packets(av, stream, each, size):
+            for packet in _encode_packets(av, stream, each, size):
                 packet.stream, packet.time_base = stream, _TICK
                 packet.pts = packet.dts = last
                 output.mux(packet)
@@ -52,9 +53,10 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
 
 
 def cut(clip: Clip, path: Path) -> Array:
-    """Copies a part of a video file to the file `path` without coding it anew, and so from the key frame before its
-    first frame on. Returns the time (n,) s of each written frame since the clip's begin, NaN for frames before it.
-    TautError where the file is missing, no video, or has no frame there."""
+    """Copies the clip's part of a video file to the file `path` without coding it anew; so it begins at the key frame
+    before the clip's first frame. Returns the time (n,) s of each written frame since the clip's begin, in the order in
+    which they are shown, NaN for frames outside of the clip. TautError where the file is missing, no video, or has no
+    frame there."""
     av = library("av", f"{clip.path}: video")
     if not clip.path.is_file():
         raise TautError(f"{clip.path}: the video is not there: copy it too, or leave --video out")
@@ -69,7 +71,8 @@ def cut(clip: Clip, path: Path) -> Array:
                 if packet.dts is None:
                     continue
                 at = float(packet.pts * read.time_base)
-                # A packet that is shown later may be decoded, and so come, before the clip's last ones.
+                # Packets come in the order of decoding (dts), so one that is shown later (pts) may come before the
+                # clip's last ones: the clip ends where both times are past its end.
                 if float(packet.dts * read.time_base) >= clip.last_s - _ROUNDED_S and at >= clip.last_s - _ROUNDED_S:
                     break
                 base = packet.dts if base is None else base
@@ -88,8 +91,8 @@ def cut(clip: Clip, path: Path) -> Array:
 
 
 def _size(av: Any, picture: Picture, what: str) -> tuple[int, int]:
-    """Width and height, px, of a picture; of an encoded one (mjpeg, png), which does not say them, by decoding it. av:
-    the module PyAV; what: names the picture in the TautError that is raised where it cannot be decoded."""
+    """Width and height, px, of a picture. A picture in mjpeg or png does not state them and is decoded for it. av: the
+    module PyAV; what: names the picture in the TautError that is raised where it cannot be decoded."""
     if picture.width:
         return picture.width, picture.height
     try:
@@ -101,9 +104,10 @@ def _size(av: Any, picture: Picture, what: str) -> tuple[int, int]:
     return frame.width, frame.height
 
 
-def _stream(av: Any, output: Any, picture: Picture, size: tuple[int, int]) -> Any:
-    """Adds a video stream to a file (PyAV's) for pictures like this one of `size` (width, height): in their own codec,
-    so that they can be copied; plain pixels in FFV1, which loses nothing."""
+def _add_stream(av: Any, output: Any, picture: Picture, size: tuple[int, int]) -> Any:
+    """Adds a video stream to PyAV's file `output`, for pictures like this one of `size` (width, height), and returns
+    it: in the picture's own codec, so that its bytes are copied; for plain pixels in FFV1, which is lossless. av: the
+    module PyAV."""
     plain = bool(picture.width)
     stream = output.add_stream("ffv1" if plain else picture.codec, rate=25)  # nominal: packets carry their times
     stream.width, stream.height = size
@@ -115,9 +119,9 @@ def _stream(av: Any, output: Any, picture: Picture, size: tuple[int, int]) -> An
     return stream
 
 
-def _packets(av: Any, stream: Any, picture: Picture, size: tuple[int, int]) -> list[Any]:
-    """A picture of `size` (width, height) as packets (PyAV's) of the stream: an encoded one as it is, plain pixels
-    coded."""
+def _encode_packets(av: Any, stream: Any, picture: Picture, size: tuple[int, int]) -> list[Any]:
+    """PyAV's packets of the stream for a picture of `size` (width, height): the bytes of an encoded picture as they
+    are, plain pixels encoded."""
     if not picture.width:
         return [av.Packet(picture.data)]
     channels = {"gray": 1, "gray16le": 1, "rgba": 4, "bgra": 4}.get(picture.codec, 3)

@@ -31,7 +31,7 @@ class Chain:
     rms: float  # of the curve less the chain, on the curve's nodes
 
     def values(self, x: npt.ArrayLike) -> list[Array]:
-        """The output of every link at x, in x's shape each; the last one is y."""
+        """The outputs of all links at x, first link first, each in the shape of x; the last one is y."""
         at = np.asarray(x, dtype=float)
         found = []
         for link in self.links:
@@ -47,7 +47,7 @@ class Chain:
 def fit(x: Array, y: Array, enough: float) -> Chain:
     """Fits a chain of polynomials to a curve, x (n,) rising and y (n,): the shortest one of at most MOST_LINKS whose
     rms error is at most `enough`, in the unit of y, or else the best one. Deterministic; takes 0.1 to 5 s."""
-    u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])
+    u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])  # x scaled to [-1, 1], and `scale` as (constant, slope)
     scale = np.array([-(x[0] + x[-1]), 2.0]) / (x[-1] - x[0])
     best, free = _chain_with_best_last_link([], u, y, scale), np.zeros(0)
     for _ in range(2, MOST_LINKS + 1):
@@ -79,20 +79,21 @@ def fit_sum(x: Array, y: Array, enough: float) -> Sum:
 
 
 def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Array]:
-    """Searches for the best chain with one link more than the free coefficients `known` (see `_links`) make; returns it
-    and its free coefficients. Nonlinear least squares from _STARTS random first links before `known`, which vary too.
-    u, y, scale: as in `_chain_with_best_last_link`."""
+    """Searches for the best chain that has one link more than the best one before. A random link is put in front of its
+    inner links, with the free coefficients `known` (see `_inner_links`); nonlinear least squares varies all of them,
+    from _STARTS such starts. Returns the chain and the free coefficients of its inner links. u, y, scale: as in
+    `_chain_with_best_last_link`."""
     nodes = np.linspace(-1.0, 1.0, _NODES)
     wanted = np.interp(nodes, u, y)
     spread = max(float(np.ptp(wanted)), 1e-300)
     rng = np.random.default_rng(0)
 
     def residuals(free: Array) -> Array:
-        """Residuals of the search, (_NODES + len(free),): at each node the error in thousandths of the curve's spread,
-        the last link being solved for; then the free coefficients, weakly. 1e3 at all nodes where a link is level or
-        not finite."""
+        """Residuals (_NODES + len(free),) at these free coefficients: the chain's error at each node, in thousandths of
+        the curve's spread, its last link being solved for; then _STIFF times the coefficients, which is their prior.
+        The error is 1e3 at all nodes where a link is constant or not finite."""
         at = nodes
-        for link in _links(free):
+        for link in _inner_links(free):
             at = np.asarray(polynomial.polyval(at, link))
             if not np.isfinite(at).all() or np.ptp(at) < 1e-6:
                 return np.concatenate([np.full(_NODES, 1e3), _STIFF * free])
@@ -108,12 +109,12 @@ def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Arra
         if best is None or found.cost < best[0]:
             best = found.cost, found.x
     assert best is not None
-    return _chain_with_best_last_link(_links(best[1]), u, y, scale), best[1]
+    return _chain_with_best_last_link(_inner_links(best[1]), u, y, scale), best[1]
 
 
-def _links(free: Array) -> list[Array]:
-    """The links, five coefficients each, from their free coefficients (ORDER for each link): the constant, then second
-    order and up. The coefficient of first order is 1, as the next link can scale."""
+def _inner_links(free: Array) -> list[Array]:
+    """All links but the last one, five coefficients each (constant first), from their free coefficients (ORDER for each
+    link): the constant, then second order and up. The coefficient of first order is 1, as the next link can scale."""
     return [np.concatenate([part[:1], [1.0], part[1:]]) for part in free.reshape(-1, ORDER)]
 
 
@@ -125,25 +126,26 @@ def _scaled_to_unit(values: Array) -> tuple[Array, Array]:
 
 
 def _chain_with_best_last_link(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
-    """The chain of the links `inner`, the output of each scaled to [-1, 1], and a last link that is solved for by
-    linear least squares to y (n,). u (n,): the curve's x, scaled to [-1, 1] by the line `scale` (constant, slope)."""
-    at, before, links = u, scale, []
+    """The chain of the links `inner`, the output of each scaled to [-1, 1], and a last link that is fitted to y (n,) by
+    linear least squares. u (n,): the curve's x, scaled to [-1, 1] by the straight line `scale` (constant, slope)."""
+    # argument: the straight line that is applied to what the next link takes; of the first one `scale`, else none.
+    at, argument, links = u, scale, []
     for link in inner:
         raw: Array = np.asarray(polynomial.polyval(at, link), dtype=float)
         at, line = _scaled_to_unit(raw)
-        whole = line[1] * link
-        whole[0] += line[0]
-        links.append(_composed_with_line(whole, before))
-        before = np.array([0.0, 1.0])
+        scaled = line[1] * link
+        scaled[0] += line[0]
+        links.append(_composed_with_line(scaled, argument))
+        argument = np.array([0.0, 1.0])
     design = polynomial.polyvander(at, ORDER)
     solved: Array = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0], dtype=float)
-    links.append(_composed_with_line(solved, before))
+    links.append(_composed_with_line(solved, argument))
     return Chain(tuple(links), float(np.sqrt(np.mean((design @ solved - y) ** 2))))
 
 
 def _composed_with_line(link: Array, line: Array) -> Array:
     """The coefficients (5,) of link(line(x)); link: five coefficients, line: (constant, slope)."""
-    composed = np.zeros(1)
+    composed = np.zeros(1)  # Horner's rule, in polynomials
     for coefficient in link[::-1]:
         composed = polynomial.polyadd(polynomial.polymul(composed, line), [coefficient])
     return np.pad(composed, (0, ORDER + 1 - len(composed)))

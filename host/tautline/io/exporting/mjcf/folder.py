@@ -66,7 +66,8 @@ def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str]
 
 
 def law_of(model: Model) -> Law:
-    """Fits a model's B/2 and f_remain with polynomials, for the scene in XML alone. Takes 1 to 6 s."""
+    """Fits a model's B/2 and f_remain with polynomials over q less the middle of the motor's range, and takes over lag
+    and delay: what the scene in XML alone needs. Takes 1 to 6 s."""
     low, high = model.rig.actuator.range
     middle = 0.5 * (low + high)
     x, angle, half = model.q - middle, np.radians(model.c_deg), 0.5 * model.width
@@ -75,16 +76,16 @@ def law_of(model: Model) -> Law:
         middle=middle,
         span=high - low,
         steepest=float(np.abs(np.diff(angle) / np.diff(x)).max()),
-        half=_at_least_zero(fit(x, half, _ENOUGH * max(float(half.max()), 1e-12)), x),
+        half=_raised_to_zero(fit(x, half, _ENOUGH * max(float(half.max()), 1e-12)), x),
         angle=fit_sum(x, angle, _ENOUGH_LAW * float(np.ptp(angle))),
         lag_s=lag,
         delay_s=model.delay_s,
     )
 
 
-def _at_least_zero(half: Chain, x: Array) -> Chain:
-    """The chain of B/2, moved up if it is below 0 somewhere on x (n,), where the play's walls would cross each
-    other."""
+def _raised_to_zero(half: Chain, x: Array) -> Chain:
+    """The chain of B/2, its last constant raised so that it is nowhere below 0 on x (n,): there the play's walls would
+    cross each other."""
     short = -min(0.0, float(half(x).min()))
     last = half.links[-1].copy()
     last[0] += short
@@ -92,8 +93,8 @@ def _at_least_zero(half: Chain, x: Array) -> Chain:
 
 
 def _callback_parameters(model: Model) -> dict[str, float]:
-    """The parameters, by name, of those of a model's effects that transmission.py, the callback of the export,
-    simulates by their own equations: not of a gradual onset, for which elements stand (`callback_files`)."""
+    """The parameters, by name, of the model's effects that transmission.py, the export's callback, simulates by their
+    own equations. A gradual onset is not one of them: elements stand for it (`callback_files`)."""
     return {
         name: float(value)
         for effect in of_this_version(model)
@@ -115,9 +116,9 @@ def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
 
 
 def callback_files(model: Model, nominal: Nominal) -> dict[str, str]:
-    """The texts of what leads the joint of scene_callback.xml, by file name: a copy of transmission.py, and what it
-    reads: transmission.json, the tables of B, f_remain and B's sigma over q and, where several elements stand side by
-    side, their warp. It knows no friction and no gradual onset: elements stand for either."""
+    """The texts of the files that lead the joint of scene_callback.xml, by file name: transmission.py and what it
+    reads. That is transmission.json, the tables of B, f_remain and B's sigma over q and, where several elements stand
+    side by side, their warp. It knows neither friction nor a gradual onset: elements stand for both."""
     onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
     elements = onset_elements(model.elements, onset) if onset else model.elements
     play = replace(model, elements=elements, friction=None).play
@@ -135,8 +136,8 @@ def callback_files(model: Model, nominal: Nominal) -> dict[str, str]:
 
 
 def _about(model: Model, nominal: Nominal, elements: Elements, narrow: float) -> dict[str, Any]:
-    """transmission.json: what transmission.py needs beside the tables. narrow: unit of q, B below which the single play
-    stands for the elements."""
+    """The document of transmission.json: what transmission.py needs beside the tables. narrow: the width B, unit of q,
+    below which the single play stands for the elements."""
     stands_in = not elements.single and bool((model.width < narrow).any())
     return {
         "format": FORMAT,
@@ -166,8 +167,8 @@ def _csv(header: str, rows: Array) -> str:
 def _measure_errors(
     model: Model, nominal: Nominal, law: Law, folder: Path, progress: Callable[[float, str], None]
 ) -> dict[str, Any]:
-    """Simulates the scenes in `folder` and compares them with the model's own prediction. Returns export.json: the
-    errors of both, and what each part of the model is exported as, or why it is not."""
+    """Simulates the two scenes in `folder` and compares them with the model's own prediction. Returns the document of
+    export.json: the errors of both scenes, and for each part of the model what it is exported as, or why it is not."""
     motor = measure.motion(model, nominal.timestep)
     predicted_deg = predict(model, motor, motor.t_s).c_deg
     q = float(motor.q[0])
@@ -209,9 +210,9 @@ def _measure_errors(
 def parts(
     model: Model, law: Law, motor: Motor, predicted_deg: Array
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Which parts of a model are in the export, in which file and as what, and which are not, and why: two lists of
-    export.json. Their `error` is the rms by which the prediction is off through that part alone, px or deg, None where
-    it cannot be said. predicted_deg: the whole model's angles (n,) at the motor's times."""
+    """Two lists for export.json: the parts of a model that are exported, with file and form, and those that are not,
+    with the reason. `error` of an entry is the rms by which the prediction is off through that part alone, px or deg,
+    None where it cannot be said. predicted_deg: the whole model's angles (n,) at the motor's times."""
     x = model.q - law.middle
     width = replace(model, width=allowed_width(model.q, 2.0 * law.half(x)))
     bent = replace(model, c_deg=monotone(np.degrees(law.angle(x))))
@@ -249,15 +250,15 @@ def parts(
 
 
 def _parts_of_effect(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> list[dict[str, Any]]:
-    """The entries of `parts` on an effect of the mechanism: with "as" where it is exported, with "why" where it is not.
-    leaves: the error of another model's prediction."""
+    """The entries of `parts` on an effect of the mechanism: with the key "as" where it is exported, with "why" where it
+    is not. leaves(other): the rms error, px or deg, of another model's prediction."""
     if BY_ID[effect.id].needs in ("load", "joint", "freedom"):
-        why = "it follows what the scene has no input for"  # nor has the motion that is measured on
+        why = "it follows what the scene has no input for"  # the motion on which errors are measured has none either
         return [{"what": effect.id, "in": "both", "why": why, "error": None}]
     without = leaves(replace(model, effects=tuple(each for each in model.effects if each is not effect)))
     callback: dict[str, Any] = {"what": effect.id, "in": "callback"}
     if effect.id in _BY_CALLBACK:
-        callback |= {"as": "its equations", "error": _error_of_its_form(model, effect, leaves)}
+        callback |= {"as": "its equations", "error": _error_in_callback(model, effect, leaves)}
     else:
         callback |= {"why": "it has no equation there", "error": without}
     xml: dict[str, Any] = {"what": effect.id, "in": "xml"}
@@ -270,10 +271,10 @@ def _parts_of_effect(model: Model, effect: Effect, leaves: Callable[[Model], flo
     return [callback, xml]
 
 
-def _error_of_its_form(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> float:
-    """The rms by which the prediction is off, px or deg, as the callback simulates an effect in a form of its own: a
-    gradual onset becomes elements; all others have their own equations there, so 0. leaves: gives that rms for another
-    model."""
+def _error_in_callback(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> float:
+    """The rms, px or deg, by which the prediction is off because the callback simulates an effect in another form: a
+    gradual onset as elements. 0 for all other effects, whose own equations it has. leaves(other): that rms for another
+    model's prediction."""
     if effect.id != _ONSET:
         return 0.0
     elements = onset_elements(model.elements, effect.parameters)

@@ -26,8 +26,8 @@ _SEED = 24  # tolerance: of the motion: any will do
 
 
 def motion(model: Model, step_s: float) -> Motor:
-    """The motion on which an export is measured: a smooth random one over the motor's range for MOTION_S, whose
-    reversals are anywhere, sampled every step_s."""
+    """The motor's log on which an export is measured: a smooth random motion over the motor's range, of MOTION_S s,
+    with reversals anywhere in it, sampled every step_s s. It is the same at each call."""
     actuator = model.rig.actuator
     course = trajectory.random_smooth(actuator, _SPEED * actuator.span, MOTION_S, _SEED)
     t_s = np.arange(int(course.duration_s / step_s)) * step_s
@@ -41,9 +41,10 @@ def simulate(
     start: Callable[[Any, Any], None],
     lead: Callable[[Any, Any], None] | None,
 ) -> Array:
-    """Simulates the MJCF at `path` with the motor following a log whose times are the scene's steps; returns the tip's
-    angle (n,), deg. start(model, data): brings the scene to rest; lead(model, data): the callback that is called before
-    each step, None without. TautError where the simulation is unstable."""
+    """Simulates the MJCF at `path` with the motor following a log whose times are the scene's steps. Returns the tip's
+    angle (n,), deg, at each of them; the first one is that after start(model, data), which brings the scene to rest.
+    lead(model, data): the callback that is called before each step, None without one. TautError where the simulation is
+    unstable."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -66,8 +67,8 @@ def simulate(
 
 def error(model: Model, motor: Motor, c_deg: Array, expected_deg: Array | None = None) -> tuple[float, float]:
     """The rms and the largest difference between angles c_deg (n,) at the motor's times and expected_deg (n,), by
-    default the model's prediction, from when on the start no longer matters: px per coordinate if the rig has a camera,
-    else deg."""
+    default the model's prediction: px per coordinate if the rig has a camera, else deg. The first part, in which the
+    unknown start still matters (`settled_from`), is not counted."""
     expected_deg = predict(model, motor, motor.t_s).c_deg if expected_deg is None else expected_deg
     counted = motor.t_s >= settled_from(model, motor)
     if model.rig.has_camera:

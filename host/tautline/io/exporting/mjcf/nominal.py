@@ -37,8 +37,9 @@ class Nominal:
 
 
 def read_nominal(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:
-    """Reads the user's MJCF and finds actuator and tip in it. unit: of q; motor: the motor's range, in that unit;
-    tip_rad: angles (n,), rad, that the tip takes. TautError names what is not there, or does not go together."""
+    """Reads the user's MJCF and finds the actuator and the tip in it. unit: of q; motor: the motor's range, in that
+    unit; tip_rad: angles (n,), rad, that the tip takes. TautError where the file, the actuator or the tip is missing,
+    an export is in the file already, or the actuator's control range is too small."""
     import mujoco
 
     if not mount.into.is_file():
@@ -56,8 +57,8 @@ def read_nominal(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: A
 
 
 def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tuple[float, float]) -> None:
-    """TautError where the actuator is not in the model, or its control range does not hold the motor's range, unit of
-    q, times `scale`."""
+    """Raises TautError where the actuator is not in the model, or where its control range does not contain the motor's
+    range (unit of q) times `scale`."""
     names = [model.actuator(i).name for i in range(model.nu)]
     if mount.actuator not in names:
         raise TautError(f"{mount.into}: has no actuator {mount.actuator}, but {', '.join(names) or 'none at all'}")
@@ -71,21 +72,22 @@ def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tu
 
 
 def _largest_inertia_and_load(model: Any, tip: tuple[tuple[str, float], ...], tip_rad: Array) -> tuple[float, float]:
-    """What the transmission has to carry: inertia, kg m^2, and load, N m, about the tip's angle, of which its hinges
-    have equal shares; the largest of each over the range of tip_rad."""
+    """The inertia, kg m^2, and the load, N m, that the transmission carries about the tip's angle: the largest of each
+    over the range of tip_rad (n,), rad. Each of the tip's hinges takes an equal share of the angle."""
     import mujoco
 
     data = mujoco.MjData(model)
     inertia = load = 0.0
-    whole = np.zeros((model.nv, model.nv))
-    share = np.zeros(model.nv)
+    mass_matrix = np.zeros((model.nv, model.nv))
+    share = np.zeros(model.nv)  # how much each degree of freedom turns as the tip's angle goes by 1
     for name, sign in tip:
         share[model.joint(name).dofadr[0]] = sign / len(tip)
     for angle in np.linspace(float(tip_rad.min()), float(tip_rad.max()), _POSES):
         for name, sign in tip:
             data.qpos[model.joint(name).qposadr[0]] = sign * angle / len(tip)
         mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, whole)
-        inertia = max(inertia, float(share @ whole @ share))
+        mujoco.mj_fullM(model, data, mass_matrix)
+        # By virtual work: inertia share' M share, load share' (bias - passive forces)
+        inertia = max(inertia, float(share @ mass_matrix @ share))
         load = max(load, abs(float(share @ (data.qfrc_bias - data.qfrc_passive))))
     return inertia, load

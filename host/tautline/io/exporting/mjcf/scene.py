@@ -68,9 +68,10 @@ class Scene:
         self._add_tip_sensors()
 
     def text(self, out: Path) -> str:
-        """The MJCF as text, for a file in the folder `out`, from which its meshes are named. TautError where MuJoCo
-        cannot compile it."""
-        for key in self.spec.keys:  # the slides stand behind all that was there
+        """The MJCF as text, for a file in the folder `out`, from which its meshes and textures are named. It is called
+        once, after all parts were added, as it appends the slides' positions to the file's key frames. TautError where
+        MuJoCo cannot compile it."""
+        for key in self.spec.keys:  # the slides' coordinates come after those of the user's file
             if len(key.qpos):
                 key.qpos = [*key.qpos, *self.added]
             if len(key.qvel):
@@ -93,9 +94,9 @@ class Scene:
             compiler.set(name, os.path.relpath(folder, out.resolve()))
         return ElementTree.tostring(whole, encoding="unicode") + "\n"
 
-    def slide(self, name: str, mass: float, reference: float) -> Any:
-        """Adds a body on a slide joint, both called `name`, at the position `reference`; gravity does not act on it.
-        mass: kg. Returns the joint."""
+    def add_slide(self, name: str, mass: float, reference: float) -> Any:
+        """Adds a body on a slide joint, both called `name`, whose reference position is `reference`; gravity does not
+        act on it. mass: kg. Returns the joint (of mujoco.MjSpec)."""
         body = self.spec.worldbody.add_body(
             name=name,
             gravcomp=1.0,
@@ -111,11 +112,13 @@ class Scene:
         )
 
     def add_motor(self) -> None:
-        """Adds the slide MOTOR, whose position is q, and makes the user's actuator drive it with a position loop; its
-        control is q in its own unit, as before."""
+        """Adds the slide MOTOR, whose position is q, with a sensor of it, and makes the user's actuator drive it with a
+        position loop, without its own dynamics, delay and limits of force. The control stays in the actuator's own
+        unit, q times `scale`."""
         nominal, mass = self.nominal, _MOTOR_HEAVY * self.mass
-        self.slide(MOTOR, mass, self.law.middle)
+        self.add_slide(MOTOR, mass, self.law.middle)
         rate, scale = _SERVO / nominal.timestep, nominal.scale
+        # The gains are per unit of the actuator's length, scale q: so divided by scale^2.
         stiffness, damping = mass * rate**2 / scale**2, 2.0 * _DAMPING * mass * rate / scale**2
         actuator = self.spec.actuator(nominal.mount.actuator)
         actuator.trntype = self.mj.mjtTrn.mjTRN_JOINT
@@ -133,10 +136,10 @@ class Scene:
         )
 
     def add_play(self) -> None:
-        """Adds the slide CENTRE, p, that follows MOTOR through the play: two tendons with limits hold q - p - half <= 0
-        and q - p + half >= 0, half = B(p)/2; between them friction holds p."""
+        """Adds the slide CENTRE, whose position is p and which follows MOTOR through the play: two tendons with limits
+        hold q - p - half <= 0 and q - p + half >= 0, half = B(p)/2. Between these walls friction holds p."""
         nominal, law, mass = self.nominal, self.law, self.mass
-        centre = self.slide(CENTRE, mass, law.middle)
+        centre = self.add_slide(CENTRE, mass, law.middle)
         centre.frictionloss = max(_FRICTION * nominal.load * law.steepest, _STOPS * law.span * mass)
         centre.solref_friction, centre.solimp_friction = self.stiff, _IMPEDANCE
         half, _ = self.add_chain(HALF, CENTRE, law.half.links, 0.0)
@@ -147,11 +150,12 @@ class Scene:
                 wall.wrap_joint(joint, share)
 
     def add_law(self) -> None:
-        """Makes the tip follow the slide CENTRE by f_remain, after the first-order lag, if there is one."""
+        """Makes the tip follow the slide CENTRE by f_remain; where the law has a lag, through a slide LAGGING that
+        follows CENTRE in first order."""
         law, behind = self.law, CENTRE
-        if law.lag_s > 0.0:  # a spring to the play against a damper, that lag_s is the ratio of
+        if law.lag_s > 0.0:  # a spring from the play, and a damper: lag_s is damping over stiffness
             damping = self.mass / self.nominal.timestep  # its own mass follows within a step, so that nothing swings
-            late = self.slide(LAGGING, self.mass, law.middle)
+            late = self.add_slide(LAGGING, self.mass, law.middle)
             late.damping = [damping, 0.0, 0.0]
             spring = self.spec.add_tendon(
                 name=LAGGING, stiffness=[damping / law.lag_s, 0.0, 0.0], springlength=[0.0, 0.0]
@@ -170,24 +174,24 @@ class Scene:
     def add_led_joint(self) -> None:
         """Makes the tip follow the slide LEAD, rad, which the callback moves."""
         start = float(self.law.angle(0.0))
-        self.slide(LEAD, _HEAVY * _MOTOR_HEAVY * self.nominal.inertia, start)
+        self.add_slide(LEAD, _HEAVY * _MOTOR_HEAVY * self.nominal.inertia, start)
         self.lead_tip([LEAD], _SAME, start)
 
     def add_chain(self, name: str, joint: str, links: tuple[Array, ...], x0: float) -> tuple[str, float]:
-        """Adds a slide for each link of a chain, NAME_1, NAME_2 and so on. An equality holds its position to the link's
-        polynomial (5,), the constant first, of the position of the slide before, the first's of `joint`. x0: that
-        polynomial's argument where `joint` is at its reference. Returns the last slide's name and reference."""
+        """Adds a slide for each link of a chain, NAME_1, NAME_2 and so on. An equality holds each slide at the link's
+        polynomial (5,), the constant first, of the slide before it, the first one of `joint`. x0: position of `joint`
+        at its reference. Returns the last slide's name and its reference position (`joint` and x0 without links)."""
         for i, link in enumerate(links):
             y0 = float(polynomial.polyval(x0, link))
             this = f"{name}_{i + 1}"
-            self.slide(this, self.mass, y0)
+            self.add_slide(this, self.mass, y0)
             self._add_equality(self.mj.mjtObj.mjOBJ_JOINT, this, joint, _shifted_polynomial(link, x0, y0))
             joint, x0 = this, y0
         return joint, x0
 
     def lead_tip(self, joints: list[str], link: Array, x0: float) -> None:
-        """Adds an equality that holds the tip's angle to link(sum of these joints). x0: that sum where all joints are
-        at their references."""
+        """Adds an equality that holds the tip's angle, rad, at the polynomial link (5,), the constant first, of the sum
+        of these joints' positions. x0: that sum where all of them are at their references."""
         leads = self.spec.add_tendon(name=f"{TIP}_leads")
         for joint in joints:
             leads.wrap_joint(joint, 1.0)
@@ -196,8 +200,9 @@ class Scene:
         )
 
     def _add_equality(self, kind: Any, one: str, other: str, coefficients: Array) -> None:
-        """Adds an equality of MuJoCo: `one` less its reference is the polynomial with these five coefficients of
-        `other` less its reference. kind: whether both are joints or tendons."""
+        """Adds an equality of MuJoCo: the position of `one` less its reference is the polynomial with these
+        coefficients (5,), the constant first, of the position of `other` less its reference. kind: mjOBJ_JOINT or
+        mjOBJ_TENDON, which both are."""
         of_joint = kind == self.mj.mjtObj.mjOBJ_JOINT
         equality = self.spec.add_equality(
             name=f"{one}_equal",
@@ -225,7 +230,7 @@ class Scene:
 def _shifted_polynomial(link: Array, x0: float, y0: float) -> Array:
     """The coefficients (5,), the constant first, of link(x0 + d) - y0 in d; link (5,): likewise. MuJoCo's equalities
     count from the joints' references, x0 and y0."""
-    shifted = np.zeros(1)
+    shifted = np.zeros(1)  # Horner's rule, in polynomials of d
     for coefficient in link[::-1]:
         shifted = polynomial.polyadd(polynomial.polymul(shifted, [x0, 1.0]), [coefficient])
     shifted = np.pad(shifted, (0, ORDER + 1 - len(shifted)))

@@ -45,46 +45,55 @@ class Transmission:
         self.start(float(self.grid[len(self.grid) // 2]))
 
     def start(self, q: float) -> float:
-        """Puts the motor at rest at q with the tip on the centre line; returns c, deg."""
-        q = self._shaft(q)
-        self.single = q  # where one play of width B is
+        """Puts the motor at rest at q, mm or deg by the encoder, with the tip on the centre line: every state of the
+        play, the lag and the creep is set anew. Returns the bending angle c, deg."""
+        q = self._true_position(q)
+        self.single = q  # centre coordinate p of one play of width B
         if self.warp is not None:
-            x = _line(q, *self.warp)
-            half = 0.5 * max(_held(q, self.grid, self.width), self.narrow)
-            self.z = self._shared(x, _line(q - half, *self.warp) + 0.5)
+            x = _interpolated_end_slopes(q, *self.warp)
+            # The elements' mean on the warped axis, where B is 1: it is half of that above the play's lower end.
+            half = 0.5 * max(_interpolated(q, self.grid, self.width), self.narrow)
+            self.z = self._element_positions(x, _interpolated_end_slopes(q - half, *self.warp) + 0.5)
         p = self._centre()
         self.before = p
         self.lag = [p, p]  # the outputs of both stages
         self.creep = [p, p]  # the fast part's and the slow part's
-        return self._bent(p)
+        return self._bending_angle(p)
 
     def step(self, q: float, dt: float) -> float:
-        """Moves the motor to q within dt s, in a straight line; returns c, deg, at the end."""
-        q = self._shaft(q)
+        """Moves the motor to q, mm or deg by the encoder, within dt s and at constant speed. Returns the bending angle
+        c, deg, at the end."""
+        q = self._true_position(q)
         half = 0.5 * self.width
-        low, high = _beside(q, self.grid + half, self.grid), _beside(q, self.grid - half, self.grid)
+        # The play's bounds at q: low + B(low)/2 = q and high - B(high)/2 = q.
+        low = _interpolated_slope_1(q, self.grid + half, self.grid)
+        high = _interpolated_slope_1(q, self.grid - half, self.grid)
         self.single = min(max(self.single, low), high)
         if self.warp is not None:
-            x = _line(q, *self.warp)
+            x = _interpolated_end_slopes(q, *self.warp)  # element i of the play stays within x -+ r[i]
             self.z = np.minimum(np.maximum(self.z, x - self.r), x + self.r)
         p = self._centre()
         before, self.before = self.before, p
-        return self._bent(self._late(before, p, dt))
+        return self._bending_angle(self._lag_and_creep(before, p, dt))
 
     def _centre(self) -> float:
-        """The centre coordinate p, unit of q: the elements' mean, taken back through the warp; without a warp, and
-        where B is narrow, that of the single play."""
+        """The centre coordinate p, unit of q: the elements' weighted mean, taken back through the warp. Without a warp,
+        and where B(p) is below `narrow`, it is the single play's."""
         if self.warp is None:
             return self.single
         y = float(self.w @ self.z)
         q, x = self.warp
-        p = 0.5 * (_line(y - 0.5, x, q) + _line(y + 0.5, x, q))
-        return self.single if _held(p, self.grid, self.width) < self.narrow else p
+        # Both ends of a play of width 1 about y, taken back to q: p is their middle.
+        p = 0.5 * (_interpolated_end_slopes(y - 0.5, x, q) + _interpolated_end_slopes(y + 0.5, x, q))
+        return self.single if _interpolated(p, self.grid, self.width) < self.narrow else p
 
-    def _shared(self, x: float, y: float) -> Any:
-        """Positions (elements,) whose weighted mean is y, for a motor at x, all on the warped axis, where B is 1: one
-        common value, or as near to it as an element's half width r lets it be."""
+    def _element_positions(self, x: float, y: float) -> Any:
+        """Positions (elements,) of the elements, with the weighted mean y, for a motor at x; all on the warped axis,
+        where B is 1. Each element lies at the same distance `at` from the motor, or at its half width r if that is
+        smaller."""
         common = min(max(y, x - 0.5), x + 0.5) - x
+        # Solves sum of w min(at, r) = |y - x| for `at`, from one half width r (they rise) to the next. left: what
+        # is not made up yet of |y - x|; rest: the weight of the elements whose r is not reached.
         sign, left, rest, reached = math.copysign(1.0, common), abs(common), 1.0, 0.0
         for r, w in zip(self.r, self.w, strict=True):
             if left <= rest * (r - reached):
@@ -95,10 +104,11 @@ class Transmission:
         at = reached + (left / rest if rest > 1e-9 else 0.0)
         return x + sign * np.minimum(at, self.r)
 
-    def _late(self, u0: float, u1: float, dt: float) -> float:
-        """The centre coordinate after a lag of up to two stages and then creep, at the end of a step of dt s in which
-        it went from u0 to u1; unit of q. `lag`, s, is the sum of the stages' time constants, of which the second has
-        the share `lag_second`."""
+    def _lag_and_creep(self, u0: float, u1: float, dt: float) -> float:
+        """The centre coordinate, unit of q, after a lag of up to two stages and then creep, at the end of a step of dt
+        s in which it went from u0 to u1; moves both states on. `lag`, s, is the sum of the stages' time constants, the
+        second one has the share `lag_second` of it. Creep holds back the share `creep_share` of the motion, which
+        follows with the time constant creep_time, s, and of it the share creep_slow SLOWER times slower."""
         get = self.values.get
         lag, second = get("lag", 0.0), get("lag_second", 0.0)
         if lag > 0.0:
@@ -116,10 +126,11 @@ class Transmission:
             u1 -= share * (u1 - (1.0 - slow) * self.creep[0] - slow * self.creep[1])
         return u1
 
-    def _bent(self, p: float) -> float:
-        """The bending angle, deg, at the centre coordinate p; beyond the angle contact_c an obstacle holds a share of
-        it back, setting in over contact_soft deg."""
-        c = _line(p, self.grid, self.c_deg)
+    def _bending_angle(self, p: float) -> float:
+        """The bending angle c, deg, at the centre coordinate p: f_remain(p), less what an obstacle holds back. It lies
+        at the angle contact_c, on the side contact_side (1 or -1), and holds back the share contact_hold of what goes
+        beyond, setting in over contact_soft deg."""
+        c = _interpolated_end_slopes(p, self.grid, self.c_deg)
         get = self.values.get
         beyond = (c - get("contact_c", 0.0)) * get("contact_side", 1.0)
         if get("contact_hold", 0.0) and beyond > 0.0:
@@ -128,14 +139,15 @@ class Transmission:
             c -= get("contact_hold", 0.0) * (beyond - soft * (1.0 - yields)) * get("contact_side", 1.0)
         return c
 
-    def _shaft(self, q: float) -> float:
-        """The true motor position where the encoder reads q, its error having one and two periods a turn."""
+    def _true_position(self, q: float) -> float:
+        """The true motor position x where the encoder reads q, both in the unit of q: x = q + e(x), the encoder's error
+        e having one and two periods in each encoder_period. Solved by Newton's method."""
         get = self.values.get
         sin, cos, sin2, cos2 = (get(f"encoder_{name}", 0.0) for name in ("sin", "cos", "sin2", "cos2"))
         if not (sin or cos or sin2 or cos2):
             return q
         turn, x = 2.0 * math.pi / get("encoder_period", 1.0), q
-        for _ in range(3):  # Newton's: the error is a small part of a turn
+        for _ in range(3):  # Newton's steps: the error is a small part of a turn
             s, c, s2, c2 = (f(k * turn * x) for k in (1.0, 2.0) for f in (math.sin, math.cos))
             error = sin * s + cos * c + sin2 * s2 + cos2 * c2
             slope = turn * (sin * c - cos * s + 2.0 * (sin2 * c2 - cos2 * s2))
@@ -144,7 +156,7 @@ class Transmission:
 
 
 class Control:
-    """Leads the joint that scene_callback.xml couples the tip to. Called once a step, by hand or by MuJoCo."""
+    """Moves the joint that scene_callback.xml couples the tip to. It is called once a step, by hand or by MuJoCo."""
 
     def __init__(self, model: Any, folder: Path = HERE) -> None:
         """model: the mujoco.MjModel of scene_callback.xml; folder: of the transmission's files."""
@@ -163,8 +175,9 @@ class Control:
         self.time = -math.inf
 
     def __call__(self, model: Any, data: Any) -> None:
-        """Moves the transmission on by a step, to where the actuator's control has the motor, and sets the speed with
-        which the led joint, and so the tip, gets there within the step. A second call in a step does nothing."""
+        """Moves the transmission on by a step, to the motor position that the actuator's control commands, and sets the
+        speed with which the led joint, and so the tip, gets to the resulting angle within the step. A second call in
+        the same step does nothing."""
         if data.time == self.time:  # a stage of the same step
             return
         self.time = float(data.time)
@@ -174,9 +187,9 @@ class Control:
 
 
 def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -> None:
-    """Brings either scene (mujoco.MjModel and MjData) to rest with the motor at q, mm or deg: every coordinate to where
-    the equalities put it, which are in order from the motor to the tip. about: transmission.json, by default the one
-    beside this file."""
+    """Brings either scene (mujoco.MjModel and MjData) to rest with the motor at q, mm or deg. The motor's joints are
+    set to q, then each joint that an equality leads to where that puts it (they are in order from the motor to the
+    tip), all speeds to 0 and the control to q's. about: transmission.json, by default the one beside this file."""
     about = about or json.loads((HERE / "transmission.json").read_text(encoding="utf-8"))
     named = {str(model.joint(i).name): i for i in range(model.njnt)}
     for name in about["moves"]:
@@ -189,7 +202,7 @@ def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -
         follower, leader = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
         of_tip = str(model.equality(i).name) == about["leads"]
         leaders = [leader]
-        if of_tip:  # tendons: over the tip's hinges, and over the joints that lead them
+        if of_tip:  # its objects are tendons: over the tip's hinges, and over the joints that lead them
             first = int(model.tendon_adr[leader])
             leaders = [int(joint) for joint in model.wrap_objid[first : first + int(model.tendon_num[leader])]]
         from_rest = sum(data.qpos[place[joint]] - model.qpos0[place[joint]] for joint in leaders)
@@ -197,6 +210,7 @@ def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -
         if not of_tip:
             data.qpos[place[follower]] = model.qpos0[place[follower]] + moved
             continue
+        # The tip's angle is the hinges' sum with their signs: each gets an equal share of it.
         hinges = [(place[named[name]], sign) for name, sign in about["tip"]]
         angle = sum(sign * model.qpos0[at] for at, sign in hinges) + moved
         for at, sign in hinges:
@@ -206,31 +220,32 @@ def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -
 
 
 def _columns(path: Path, count: int) -> list[Any]:
-    """The first `count` columns of a CSV below its header line, (n,) each."""
+    """Reads the first `count` columns of a CSV below its header line, (n,) each."""
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))[1:]
     return [np.array([float(row[i]) for row in rows]) for i in range(count)]
 
 
-def _line(x: float, grid: Any, values: Any) -> float:
-    """The value at x: straight between the points of a rising grid, and on with the end spans' slopes."""
+def _interpolated_end_slopes(x: float, grid: Any, values: Any) -> float:
+    """Linear interpolation of values (n,) over a rising grid (n,) at x; beyond the ends with the slope of the end
+    spans."""
     i = min(max(int(np.searchsorted(grid, x)) - 1, 0), len(grid) - 2)
     slope = (values[i + 1] - values[i]) / (grid[i + 1] - grid[i])
     return float(values[i] + (x - grid[i]) * slope)
 
 
-def _beside(x: float, grid: Any, values: Any) -> float:
-    """The value at x: straight between the points of a rising grid, beyond its ends with a slope of 1."""
+def _interpolated_slope_1(x: float, grid: Any, values: Any) -> float:
+    """Linear interpolation of values (n,) over a rising grid (n,) at x; beyond the ends with a slope of 1."""
     return float(np.interp(x, grid, values)) + min(x - float(grid[0]), 0.0) + max(x - float(grid[-1]), 0.0)
 
 
-def _held(x: float, grid: Any, values: Any) -> float:
-    """The value at x: straight between the points of a rising grid, beyond its ends that of the end."""
+def _interpolated(x: float, grid: Any, values: Any) -> float:
+    """Linear interpolation of values (n,) over a rising grid (n,) at x; beyond the ends with the value of the end."""
     return float(np.interp(x, grid, values))
 
 
 def _first_order(y: float, u0: float, u1: float, dt: float, time: float) -> float:
-    """The output of a first-order element (time: its constant, s) that was y, after dt s in which its input went from
-    u0 to u1 in a straight line."""
+    """The output of a first-order element with the time constant `time`, s, after dt s in which its input went from u0
+    to u1 in a straight line; before them the output was y. Exact."""
     behind = time * (u1 - u0) / dt
     return u1 - behind + (y - u0 + behind) * math.exp(-dt / time)
