@@ -28,14 +28,14 @@ from tautline.tracking.fit import (
     LawFit,
     Prior,
     Work,
-    fitted,
-    from_envelopes,
+    fit_law,
+    start_from_envelopes,
     learn_beyond,
-    simulated,
-    trimmed,
+    simulated_residuals,
+    trimmed_rms,
     with_offset_at_tip,
 )
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, SPREAD, TIP, LawFamily, unchanged
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SPREAD, TIP, LawFamily, calibrated_theta
 from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
@@ -104,9 +104,9 @@ def judge(
     verdict = None
     for evidence, origin in stretches:
         case = yield from Case.of(nominal, evidence, theta, origin, level)
-        if not adapting and np.array_equal(theta, unchanged()) and (first := case.first_departure):
+        if not adapting and np.array_equal(theta, calibrated_theta()) and (first := case.first_departure):
             case = yield from Case.of(nominal, evidence.after(first), theta, origin, level)
-        verdict = yield from _judged(case, adapting, least_offset, moved, proposal)
+        verdict = yield from _verdict_on_stretch(case, adapting, least_offset, moved, proposal)
         if verdict.theta is not None:
             refines = verdict.refines or (moved and evidence is not stretches[0][0])
             further = None  # a narrower one keeps what is known beyond the range
@@ -119,45 +119,45 @@ def judge(
     return verdict
 
 
-def _judged(
+def _verdict_on_stretch(
     case: Case, adapting: bool, least_offset: float | None, moved: bool, proposal: Inference | None
 ) -> Work[Inference]:
     """`judge` for one stretch, the first of these that holds: disturbed; not seen both ways; the law in use still
     holds; the calibrated one does again; no other leaves clearly less; enough evidence for the best fit; not enough yet
-    (`_judged_early`). Yields each piece's cost beforehand, us."""
+    (`_verdict_before_enough`). Yields each piece's cost beforehand, us."""
     yield EASY + len(case.z) // 15
     disturbed = disturbance_in_words(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)
     if case.passed is None:
         if least_offset is not None:
-            return (yield from _judged_by_offset(case, least_offset))
+            return (yield from _verdict_by_offset(case, least_offset))
         return Inference(_ONE_WAY, case.evidence, early=True)
-    if not adapting and case.lately(case.z) < _HOLDS * case.level:
+    if not adapting and case.level_lately(case.z) < _HOLDS * case.level:
         return Inference(_HELD, case.evidence, early=True)
-    fit = yield from _simplest_sufficient(case)
+    fit = yield from _simplest_sufficient_fit(case)
     yield _HARD
     if _calibrated_leaves_less(case, fit):
-        return _calibrated_holds(case)
+        return _verdict_calibrated_again(case)
     if not adapting and not case.worth_adopting(fit.z, _NOW, fit):
         return Inference(_NONE_BETTER, case.evidence, early=True)
     foretold = proposal is not None and (yield from _predicts_later_strokes(case, proposal))
     yield _HARD + len(case.z) // 8
     if _enough_evidence(case, fit, adapting, foretold):
-        return _adopting(case, fit)
-    if moved and not _richness(fit) and case.better(fit):
-        return replace(_adopting(case, fit), refines=True)
-    return (yield from _judged_early(case, fit, least_offset is not None))
+        return _verdict_to_adopt(case, fit)
+    if moved and not _richness(fit) and case.improves(fit):
+        return replace(_verdict_to_adopt(case, fit), refines=True)
+    return (yield from _verdict_before_enough(case, fit, least_offset is not None))
 
 
 def _calibrated_leaves_less(case: Case, fit: LawFit) -> bool:
     """Whether in the last strokes the calibrated law leaves about as little as the best fit and clearly less than the
     law in use (_AGAIN), and the tip was where both differ."""
-    if not case.turns or np.array_equal(case.theta, unchanged()) or not _tells_apart(case, lately=True):
+    if not case.turns or np.array_equal(case.theta, calibrated_theta()) or not _tells_apart(case, lately=True):
         return False
-    lately = case.lately(case.z_calibrated)
-    good = max(EXPLAINED, _AGAIN[0] * case.lately(fit.z))
-    better = case.lately(case.z) > _AGAIN[1] * lately and case.less_on_each(case.z_calibrated, LATELY)
+    lately = case.level_lately(case.z_calibrated)
+    good = max(EXPLAINED, _AGAIN[0] * case.level_lately(fit.z))
+    better = case.level_lately(case.z) > _AGAIN[1] * lately and case.lowers_each_stroke(case.z_calibrated, LATELY)
     return lately <= good and better
 
 
@@ -165,33 +165,33 @@ def _enough_evidence(case: Case, fit: LawFit, adapting: bool, foretold: bool) ->
     """Whether a fit may be used: enough reversals agree with it, more for a richer law, and it explains what is seen. A
     law that foretold strokes, and one while another is being learnt (`adapting`), need explain less."""
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
-    if case.turns >= least and case.explained(fit):
+    if case.turns >= least and case.is_explained_by(fit):
         return True
-    return (adapting or (case.turns >= _RICHER_TURNS and foretold)) and case.explained(fit, OF_BEFORE[1])
+    return (adapting or (case.turns >= _RICHER_TURNS and foretold)) and case.is_explained_by(fit, OF_BEFORE[1])
 
 
-def _judged_early(case: Case, fit: LawFit, begun_lately: bool) -> Work[Inference]:
+def _verdict_before_enough(case: Case, fit: LawFit, begun_lately: bool) -> Work[Inference]:
     """The verdict on the best fit where there is not enough evidence for it yet: a narrower B alone; at a recording's
     beginning a fit that leaves next to nothing; else a proposal to look at again, if it explains anything."""
-    if case.explained(fit, OF_BEFORE[0]):
-        narrower = yield from _judged_by_width(case, fit)
+    if case.is_explained_by(fit, OF_BEFORE[0]):
+        narrower = yield from _verdict_by_width(case, fit)
         if narrower is not None:
             return narrower
-        if begun_lately and case.clear(fit):
-            return _adopting(case, fit)
+        if begun_lately and case.leaves_little(fit):
+            return _verdict_to_adopt(case, fit)
         return Inference(
             f"{changes_in_words(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta
         )
     says = likely_obstacle(case)
-    return Inference(says, case.evidence, proposed=fit.theta if case.explained(fit, OF_BEFORE[1]) else None)
+    return Inference(says, case.evidence, proposed=fit.theta if case.is_explained_by(fit, OF_BEFORE[1]) else None)
 
 
-def _judged_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
+def _verdict_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
     """The verdict on a fit that too few reversals agree with, by its width alone: a narrower B is taken at once, if it
     leaves less by itself. None where the fit tells of no clearly narrower B."""
     shaped = SHAPE.start in fit.free
-    told = case.explained(fit) if shaped else SCALE in fit.free
-    learnt = _adopting(case, fit)
+    told = case.is_explained_by(fit) if shaped else SCALE in fit.free
+    learnt = _verdict_to_adopt(case, fit)
     now, before = (_least_share(case, theta, learnt.passed) for theta in (fit.theta, case.theta))
     share = now / before if before > 0.0 else 1.0
     sigma = _least_share_sigma(case, fit, learnt.passed)
@@ -199,8 +199,8 @@ def _judged_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
         return None
     only = case.theta.copy()
     only[SCALE] *= share
-    left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
-    if not case.clear(fit) and not case.worth_adopting(left, 1, fit):
+    left = (yield from simulated_residuals(case.nominal, case.evidence, only, False))[0]
+    if not case.leaves_little(fit) and not case.worth_adopting(left, 1, fit):
         return Inference(_NONE_BETTER, case.evidence, proposed=fit.theta)
     return Inference(
         f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
@@ -215,51 +215,51 @@ def _judged_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
     )
 
 
-def _simplest_sufficient(case: Case) -> Work[LawFit]:
-    """The fit of the first law, tried from simple to rich, that leaves nothing to explain (`_nothing_left`); where none
+def _simplest_sufficient_fit(case: Case) -> Work[LawFit]:
+    """The fit of the first law, tried from simple to rich, that leaves nothing to explain (`_leaves_nothing`); where none
     does, of one that is worth its parameters. Where the law in use has a shape of B, that shape refined is first. Then
-    come offset and scale together: where they leave nothing, `_either_alone` sees whether one of them does, or whether
-    a gradual onset shows; else `_richer` adds one or two of a gradual onset, a shape of B and a bent f_remain. Offset
+    come offset and scale together: where they leave nothing, `_simpler_fit` sees whether one of them does, or whether
+    a gradual onset shows; else `_richer_fit` adds one or two of a gradual onset, a shape of B and a bent f_remain. Offset
     and scale start from the calibrated law, but from the scale and shape of the law in use where the frames do not tell
     the two apart (`_tells_apart`): what was learnt of B elsewhere is kept."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
     if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
         start = nominal.rescaled(case.theta, case.origin[SCALE])
-        refined = yield from fitted(nominal, evidence, start, _free_with_shape(case.theta), prior)
-        if _nothing_left(case, refined):
+        refined = yield from fit_law(nominal, evidence, start, _free_with_shape(case.theta), prior)
+        if _leaves_nothing(case, refined):
             return refined
     yield _GUESS
-    base = unchanged() if _tells_apart(case) else nominal.clipped(_width_alone(case.theta))
-    both, side = yield from _offset_and_scale(case, base, prior)
-    if _nothing_left(case, both):
-        return (yield from _either_alone(case, both, side, base, prior))
-    return (yield from _richer(case, both, prior))
+    base = calibrated_theta() if _tells_apart(case) else nominal.clipped(_with_width_alone(case.theta))
+    both, side = yield from _fit_offset_and_scale(case, base, prior)
+    if _leaves_nothing(case, both):
+        return (yield from _simpler_fit(case, both, side, base, prior))
+    return (yield from _richer_fit(case, both, prior))
 
 
-def _nothing_left(case: Case, fit: LawFit) -> bool:
+def _leaves_nothing(case: Case, fit: LawFit) -> bool:
     """Whether a fit leaves nothing to explain: its residual, rms in sigmas, is at most _GOOD times the known level, in
     all and lately."""
-    return max(fit.level, case.lately(fit.z)) <= _GOOD * case.level
+    return max(fit.level, case.level_lately(fit.z)) <= _GOOD * case.level
 
 
-def _offset_and_scale(case: Case, base: Array, prior: Prior) -> Work[tuple[LawFit, int]]:
+def _fit_offset_and_scale(case: Case, base: Array, prior: Prior) -> Work[tuple[LawFit, int]]:
     """The fit of offset and scale from the law `base`, and its index in BOTH: the offset is before the play, or behind
     it where that lowers the cost by _GAIN. Where neither explains the evidence, a start from the law in use counts,
     too."""
     nominal, evidence = case.nominal, case.evidence
-    start = base if np.any(base[SHAPE]) else from_envelopes(nominal, evidence, base, case.envelopes, True)
-    before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
-    behind = yield from fitted(nominal, evidence, with_offset_at_tip(nominal, before.theta), BOTH[1], prior)
+    start = base if np.any(base[SHAPE]) else start_from_envelopes(nominal, evidence, base, case.envelopes, True)
+    before = yield from fit_law(nominal, evidence, start, BOTH[0], prior)
+    behind = yield from fit_law(nominal, evidence, with_offset_at_tip(nominal, before.theta), BOTH[1], prior)
     both, side = (before, 0) if before.cost <= behind.cost + _GAIN else (behind, 1)
-    if not case.explained(both):
+    if not case.is_explained_by(both):
         kept = nominal.clipped(case.theta)
-        other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
+        other = yield from fit_law(nominal, evidence, kept, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
     return both, side
 
 
-def _either_alone(case: Case, both: LawFit, side: int, base: Array, prior: Prior) -> Work[LawFit]:
+def _simpler_fit(case: Case, both: LawFit, side: int, base: Array, prior: Prior) -> Work[LawFit]:
     """The simplest fit where offset and scale (`both`, of BOTH[side], from the law `base`) leave nothing to explain:
     the one or the other alone, if that costs hardly more. But a gradual onset first: it is short and hardly shows in
     the rms."""
@@ -270,16 +270,16 @@ def _either_alone(case: Case, both: LawFit, side: int, base: Array, prior: Prior
             return gradual
     simple = both.theta.copy()
     simple[SCALE] = base[SCALE]
-    offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
+    offset = yield from fit_law(nominal, evidence, simple, ONLY_OFFSET[side], prior)
     if offset.cost < both.cost + _GAIN:
         return offset
     simple = base.copy()
     simple[SCALE] = both.theta[SCALE]
-    scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
+    scale = yield from fit_law(nominal, evidence, simple, ONLY_SCALE, prior)
     return scale if scale.cost < both.cost + _GAIN else both
 
 
-def _richer(case: Case, both: LawFit, prior: Prior) -> Work[LawFit]:
+def _richer_fit(case: Case, both: LawFit, prior: Prior) -> Work[LawFit]:
     """The fit where offset and scale (`both`) do not explain the evidence: with one of a gradual onset, a shape of B
     and a bent f_remain, or with two, as far as the reversals allow and as each brings its gain; else `both`."""
     if case.turns < _TURNS:
@@ -325,7 +325,7 @@ def _fit_with_more(case: Case, fit: LawFit, more: tuple[int, ...], prior: Prior)
         begin = case.nominal.gradual_start(begin)
     if SHAPE.start in free:  # it holds what a scale would
         begin, free = case.nominal.rescaled(begin, case.origin[SCALE]), free - {SCALE}
-    return (yield from fitted(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
+    return (yield from fit_law(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
 
 
 def _gain_of_richer(fit: LawFit, richer: LawFit) -> float:
@@ -334,7 +334,7 @@ def _gain_of_richer(fit: LawFit, richer: LawFit) -> float:
     return (fit.cost - richer.cost) / max(1.0, richer.level) ** 2 - 2.0 * (len(richer.free) - len(fit.free))
 
 
-def _judged_by_offset(case: Case, least: float) -> Work[Inference]:
+def _verdict_by_offset(case: Case, least: float) -> Work[Inference]:
     """The verdict on a recording's first stroke: the offset of another posture, if it is larger than `least`, unit of
     q, and explains a tip that follows the motor far enough; else too early."""
     at = case.envelopes.at
@@ -343,12 +343,12 @@ def _judged_by_offset(case: Case, least: float) -> Work[Inference]:
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
         return Inference(_ONE_WAY, case.evidence, early=True)
     yield _GUESS
-    start = from_envelopes(nominal, case.evidence, case.theta, case.envelopes, False)
-    fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
-    other = yield from fitted(nominal, case.evidence, with_offset_at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
+    start = start_from_envelopes(nominal, case.evidence, case.theta, case.envelopes, False)
+    fit = yield from fit_law(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
+    other = yield from fit_law(nominal, case.evidence, with_offset_at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
     fit = fit if fit.cost <= other.cost + _GAIN else other
-    if case.explained(fit, OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
-        return _adopting(case, fit)
+    if case.is_explained_by(fit, OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
+        return _verdict_to_adopt(case, fit)
     return Inference(_ONE_WAY, case.evidence, early=True)
 
 
@@ -359,14 +359,14 @@ def _predicts_later_strokes(case: Case, proposal: Inference) -> Work[bool]:
     new = evidence.t_s > proposal.evidence.t_s[-1]
     if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
         return False
-    z = (yield from simulated(case.nominal, evidence, proposal.proposed, False))[0]
-    off, before = trimmed(z[new]), trimmed(case.z[new])
+    z = (yield from simulated_residuals(case.nominal, evidence, proposal.proposed, False))[0]
+    off, before = trimmed_rms(z[new]), trimmed_rms(case.z[new])
     return off <= max(EXPLAINED * case.level, OF_BEFORE[1] * before)
 
 
-def _width_alone(theta: Array) -> Array:
+def _with_width_alone(theta: Array) -> Array:
     """The calibrated law with theta's scale and shape of B."""
-    kept = unchanged()
+    kept = calibrated_theta()
     kept[SCALE], kept[SHAPE] = theta[SCALE], theta[SHAPE]
     return kept
 
@@ -388,24 +388,24 @@ def _tells_apart(case: Case, lately: bool = False) -> bool:
     return bool(off[inside].sum() >= _TOLD_APART * off.sum())
 
 
-def _calibrated_holds(case: Case) -> Inference:
+def _verdict_calibrated_again(case: Case) -> Inference:
     """The verdict that the calibrated law holds again."""
     return Inference(
         "the calibrated law holds again",
         case.evidence,
-        unchanged(),
+        calibrated_theta(),
         passed=case.passed or (0.0, 0.0),
         turns=case.turns,
-        level=case.lately(case.z_calibrated),
+        level=case.level_lately(case.z_calibrated),
         settled=True,
     )
 
 
-def _adopting(case: Case, fit: LawFit) -> Inference:
+def _verdict_to_adopt(case: Case, fit: LawFit) -> Inference:
     """The verdict to use a fit's law from now on."""
     assert case.evidence is fit.evidence
     y = case.places(fit.theta, case.envelopes.at)
-    passed = case.envelopes.both(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
+    passed = case.envelopes.range_both_ways(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
     return Inference(
         changes_in_words(case, fit.theta),
         case.evidence,
@@ -415,7 +415,7 @@ def _adopting(case: Case, fit: LawFit) -> Inference:
         passed=passed,
         turns=case.turns,
         level=fit.level,
-        settled=case.explained(fit, OF_BEFORE[1]),
+        settled=case.is_explained_by(fit, OF_BEFORE[1]),
         proposed=fit.theta,
     )
 

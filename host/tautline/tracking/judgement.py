@@ -19,7 +19,7 @@ class Judgement:
         """None is at work, and nothing is proposed."""
         self.proposal: Inference | None = None
         self._work: Work[Inference] | None = None
-        self._due = 0  # what its next piece costs, us
+        self._next_cost_us = 0  # what its next piece costs, us
         self._news = 0  # frames since the last one began
         self._stuck, self._stuck_in = 0, -1  # strokes without a law that explains them, and the last of them
 
@@ -36,13 +36,13 @@ class Judgement:
         self._work, self.proposal = None, None
 
     @property
-    def due(self) -> bool:
+    def may_begin(self) -> bool:
         """Whether one may begin: none is at work, and enough frames came."""
         return self._work is None and self._news >= _NEWS
 
     def begin(self, work: Work[Inference] | None) -> None:
         """Begins one of the frames so far; None: they are too few for any."""
-        self._work, self._due, self._news = work, 0, 0
+        self._work, self._next_cost_us, self._news = work, 0, 0
 
     def advance(self) -> Inference | None:
         """Does a frame's share of the work; the verdict once it is done. None before, and where there is no work."""
@@ -50,9 +50,9 @@ class Judgement:
             return None
         try:
             spent = 0
-            while spent == 0 or spent + self._due <= _FRAME_WORK:
-                spent += self._due
-                self._due = next(self._work)
+            while spent == 0 or spent + self._next_cost_us <= _FRAME_WORK:
+                spent += self._next_cost_us
+                self._next_cost_us = next(self._work)
         except StopIteration as end:
             self._work = None
             verdict: Inference = end.value
@@ -65,11 +65,11 @@ class Judgement:
         if self.proposal is None or stroke > self.proposal.evidence.stroke[-1] + _FORETELLS:
             self.proposal = verdict.proposal
 
-    def explained(self) -> None:
+    def note_explained(self) -> None:
         """A law explained the evidence."""
         self._stuck = 0
 
-    def unexplained(self, stroke: int) -> bool:
+    def note_unexplained(self, stroke: int) -> bool:
         """No law explained the evidence in this stroke; whether that is so often that what was learnt is given up."""
         self._stuck += self._stuck_in != stroke
         self._stuck_in = stroke

@@ -30,7 +30,7 @@ _KEPT = 8  # tolerance: laws that a family remembers
 _LEAST_GRADUAL, _GRADUAL = 0.1, 0.2  # tolerance: of an onset, from which its derivatives are taken
 
 
-def unchanged() -> Array:
+def calibrated_theta() -> Array:
     """The calibrated law: theta (PARAMETERS,) of offset (unit of q, added to it), scale of B, its shape (further shares
     of B at PLACES), spread of the elements' shares about their mean and its skew, and what is added to f_remain."""
     theta = np.zeros(PARAMETERS)
@@ -74,7 +74,7 @@ class LawFamily:
     """The calibrated play, of which others are made, with what was seen of it beyond the measured range."""
 
     beyond: Beyond
-    _kept: dict[bytes, Law] = field(default_factory=dict, repr=False)
+    _laws_by_theta: dict[bytes, Law] = field(default_factory=dict, repr=False)
 
     @property
     def model(self) -> Model:
@@ -168,17 +168,17 @@ class LawFamily:
         """The law with the parameters theta (PARAMETERS,), which are within their limits (`clipped`). The last few are
         kept, as a fit asks for each several times."""
         key = theta.tobytes()
-        if key not in self._kept:
-            if len(self._kept) > _KEPT:
-                self._kept.clear()
-            self._kept[key] = self._law_of(theta)
-        return self._kept[key]
+        if key not in self._laws_by_theta:
+            if len(self._laws_by_theta) > _KEPT:
+                self._laws_by_theta.clear()
+            self._laws_by_theta[key] = self._law_of(theta)
+        return self._laws_by_theta[key]
 
     def _law_of(self, theta: Array) -> Law:
         """`law`, made anew. Its play `native` gives dp/dtheta up to TIP, from by_width (1 + PLACES, nodes), dB by scale
         and shape, and by_shares (2, elements), the elements' shares' derivatives by spread and skew, 0 for a single
         play; `followed` gives dp by by_beyond (CURVES, nodes), dB by each curve beyond the measured range."""
-        model = self.beyond.known
+        model = self.beyond.posterior_model
         shape = 1.0 + theta[SHAPE] @ self.shape_basis
         width = allowed_width(model.q, theta[SCALE] * model.width * shape)
         by_width = np.vstack([model.width * shape, theta[SCALE] * model.width * self.shape_basis])
@@ -191,7 +191,7 @@ class LawFamily:
             shares, weight, by_shares = self.shares(theta), self._elements[2], self._by_spread_and_skew
             shares = shares / (weight @ shares)  # B stays the distance between full strokes
         native = _native.TrackModel(model.q, width, shares, weight, by_width, by_shares)
-        by_beyond, none = theta[SCALE] * shape * self.beyond.on_grid, np.empty((0, len(shares)))
+        by_beyond, none = theta[SCALE] * shape * self.beyond.curves_on_grid, np.empty((0, len(shares)))
         followed = _native.TrackModel(model.q, width, shares, weight, by_beyond, none)
         return Law(model.q, native, followed, width, c_deg, len(shares), float(shares.max()))
 

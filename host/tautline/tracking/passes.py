@@ -113,12 +113,12 @@ class Passes:
         late[self._passes[:, _ENTRY] < since] = np.nan
         sigma = level * self._passes[:, _SIGMA]
         length = _WINDOW * self._cell
-        mean = _means(late)
+        mean = _window_means(late)
         if not (mean < 0.0).all(0).any():
             return None
         # Of a mean over as many frames as were on its cells.
-        off = _means(sigma) * np.minimum(np.sqrt(_means(self._passes[:, _SPACING]) / length), 1.0)
-        on_track = _means(self._passes[:, _OFF_SQUARE]) < (_OFF * level) ** 2
+        off = _window_means(sigma) * np.minimum(np.sqrt(_window_means(self._passes[:, _SPACING]) / length), 1.0)
+        on_track = _window_means(self._passes[:, _OFF_SQUARE]) < (_OFF * level) ** 2
         first = np.flatnonzero((on_track & (mean < -SURE * off)).all(0))
         if len(first) == 0:
             return None
@@ -133,7 +133,7 @@ class Passes:
         return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]))
 
 
-def _means(rows: Array) -> Array:
+def _window_means(rows: Array) -> Array:
     """(2, n - _WINDOW + 1) Means of rows (2, n) over _WINDOW neighbouring cells; NaN where one of them was not
     passed."""
     count = rows.shape[1] - _WINDOW + 1

@@ -13,7 +13,7 @@ _SPEED_S, _SPEED_SAMPLES = 0.02, 8  # tolerance: from which a speed is taken
 _KEPT = 256  # tolerance: samples that are done with, before they are dropped
 
 
-def _none() -> Array:
+def _no_samples() -> Array:
     """An array without elements, a field's default."""
     return np.empty(0)
 
@@ -22,8 +22,8 @@ def _none() -> Array:
 class CausalPath:
     """Samples after `done_s` and a few before."""
 
-    t_s: Array = field(default_factory=_none)  # (n,) rising
-    q: Array = field(default_factory=_none)  # (n,) unit of q
+    t_s: Array = field(default_factory=_no_samples)  # (n,) rising
+    q: Array = field(default_factory=_no_samples)  # (n,) unit of q
     others: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) translation, mm, and rotation, deg
     done_s: float = -np.inf  # up to which the motion was used
 
@@ -41,16 +41,16 @@ class CausalPath:
         if first > _KEPT:
             self.t_s, self.q, self.others = self.t_s[first:], self.q[first:], self.others[first:]
 
-    def between(self, until_s: float) -> Array:
+    def new_positions(self, until_s: float) -> Array:
         """Positions (n,) of the samples after done_s, up to until_s."""
         first, last = np.searchsorted(self.t_s, [self.done_s, until_s], side="right")
         return self.q[first:last]
 
-    def at(self, t_s: float) -> float:
+    def position_at(self, t_s: float) -> float:
         """The position at a time that samples surround; held before the first and after the last."""
         return float(np.interp(t_s, self.t_s, self.q))
 
-    def ahead(self, t_s: float) -> float:
+    def predicted_position(self, t_s: float) -> float:
         """The position at t_s from the samples up to it alone: the last one, extrapolated by its speed for at most one
         sample's period."""
         last = int(np.searchsorted(self.t_s, t_s, side="right"))
@@ -65,7 +65,7 @@ class CausalPath:
         speed = float(middle @ q) / float(middle @ middle)
         return float(q[-1]) + speed * min(t_s - float(t[-1]), float(t[-1] - t[-2]))
 
-    def others_at(self, t_s: float) -> tuple[float, float]:
+    def other_axes_at(self, t_s: float) -> tuple[float, float]:
         """Translation (mm) and rotation (deg) of the last sample up to t_s."""
         last = max(int(np.searchsorted(self.t_s, t_s, side="right")) - 1, 0)
         translation, rotation = self.others[last].tolist()

@@ -58,7 +58,7 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
         tracker.motor(motor.t_s, motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm)
         readings, moved = _readings(frames), moved_by_effects(model, recording, sensor)
         for k, arrival in enumerate(frames.t_s.tolist()):
-            rows.append(_beside(tracker, arrival, readings(k), None if moved is None else moved[k]))
+            rows.append(_row_with_effects(tracker, arrival, readings(k), None if moved is None else moved[k]))
             if len(rows) % _REPORTED == 0:
                 progress(len(rows) / whole, f"{recording.name}: {rows[-1].state}")
         number.append(np.full(len(frames.t_s), i, dtype=np.intp))
@@ -81,7 +81,7 @@ def moved_by_effects(model: Model, recording: Recording, sensor: Sensor) -> Arra
     return np.column_stack([there.c_deg - alone.c_deg, there.image_px - alone.image_px])
 
 
-def _beside(tracker: Tracker, arrival_s: float, seen: tuple[float, ...], moved: Array | None) -> Row:
+def _row_with_effects(tracker: Tracker, arrival_s: float, seen: tuple[float, ...], moved: Array | None) -> Row:
     """The tracker's row for a frame. seen: as `_readings` gives it; moved (3,): by how much effects that the tracker
     does not know move c, deg, and u, v, px: taken from what is seen, added to what is predicted. None: there are
     none."""

@@ -41,7 +41,7 @@ class Scatter:
             self.ratio = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))
 
 
-class Lean:
+class CommonError:
     """By how much all frames are off the law alike, deg: running means of the residual and of its square."""
 
     def __init__(self) -> None:

@@ -18,16 +18,16 @@ from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
-from tautline.tracking.disturbance import Aside, Disturbance
+from tautline.tracking.disturbance import ImageJump, Disturbance
 from tautline.tracking.doubt import JUMP, ONSET, Doubt
 from tautline.tracking.fit import REACH, SURE, Work
 from tautline.tracking.hypotheses import Inference, judge
 from tautline.tracking.judgement import Judgement
-from tautline.tracking.law import OFFSET, TIP, LawFamily, unchanged
+from tautline.tracking.law import OFFSET, TIP, LawFamily, calibrated_theta
 from tautline.tracking.passes import Passes
 from tautline.tracking.path import CausalPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
-from tautline.tracking.scatter import Lean, Scatter
+from tautline.tracking.scatter import CommonError, Scatter
 from tautline.tracking.strokes import Strokes
 from tautline.tracking.taken_up import TakenUp
 from tautline.tracking.visit import Visit
@@ -111,7 +111,7 @@ class LawTracker:
         self.state, self.reason = State.TRUSTED, ""
         self.changes: list[Change] = []
         self._arrival_s = 0.0
-        self._theta, self._sigma = unchanged(), self._own
+        self._theta, self._sigma = calibrated_theta(), self._own
         self._law = self._calibrated = self.nominal.law(self._theta)
         self._passes = Passes(model, self._width)
         self._offset = 0.0
@@ -126,7 +126,7 @@ class LawTracker:
         self._strokes = Strokes(max(_TURN_COUNTS * count, _TURN_SHARE * self._width))
         self._doubts = Doubt(), Doubt()  # that the law changed; that its onsets did
         self._doubted_in, self._off = 0, 0.0  # the last stroke in which it was in doubt
-        self._disturbance, self._aside = Disturbance(count), Aside()
+        self._disturbance, self._image_jump = Disturbance(count), ImageJump()
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
@@ -136,7 +136,7 @@ class LawTracker:
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
         self._strange = 0  # frames at a recording's begin in which the tip was far off
         self._visit: Visit | None = None
-        self._lean = Lean()  # of what is left where a recording begins
+        self._common_error = CommonError()  # of what is left where a recording begins
 
     def begin(self) -> None:
         """Begins a new recording, whose clock, place of the tip and posture may be others: forgets the motor's path and
@@ -144,7 +144,7 @@ class LawTracker:
         self.recording += 1
         self._path, self._started, self._placed, self._pending = CausalPath(), False, False, None
         self._disturbance.begin_recording()
-        self._aside.clear()
+        self._image_jump.clear()
         self._strokes.begin_recording(self._window.end)
         self._fresh_until = self._strokes.number + 1
         self._window.cut()
@@ -153,7 +153,7 @@ class LawTracker:
         self._clear_doubts(self._since)
         self._anchor, self._visit = None, None
         self._judgement.drop()
-        self._strange, self._lean = 0, Lean()
+        self._strange, self._common_error = 0, CommonError()
         self._offset_before = self._offset
 
     def _noise(self) -> float:
@@ -188,14 +188,14 @@ class LawTracker:
         path = self._path
         if not self._started:
             self._start(float(path.q[0]))
-        q = path.ahead(scene_s)
-        ahead = knots(self._window.last_q, path.between(scene_s), q)  # the motor's way since the last frame
+        q = path.predicted_position(scene_s)
+        ahead = knots(self._window.last_q, path.new_positions(scene_s), q)  # the motor's way since the last frame
         law = self._law
         p = float(law.followed.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
         c = float(law.angle(p)) + self._persistent_error()
         u = v = np.nan
         if self.model.rig.has_camera:
-            translation, rotation = path.others_at(scene_s)
+            translation, rotation = path.other_axes_at(scene_s)
             u, v = self.projection.image(c, translation, rotation)
         self._pending = (scene_s, None)
         offset_sigma, scale_sigma = self._sigma
@@ -220,7 +220,7 @@ class LawTracker:
     @property
     def dialled_down(self) -> bool:
         """Whether less of B is taken up than the law in use has, as two passes of one place left less."""
-        return bool(self._taken_up.dialled)
+        return bool(self._taken_up.why_dialled)
 
     @property
     def compensation(self) -> float:
@@ -243,8 +243,8 @@ class LawTracker:
         scene_s, reading = self._pending
         self._pending = None
         path = self._path
-        q = path.at(scene_s)
-        way = knots(self._window.last_q, path.between(scene_s), q)
+        q = path.position_at(scene_s)
+        way = knots(self._window.last_q, path.new_positions(scene_s), q)
         before = self._play.copy()
         ps, moving, _ = self._law.followed.run(self._play, way + self._theta[OFFSET], True)
         p = float(ps[-1])
@@ -253,7 +253,7 @@ class LawTracker:
         for knot in way.tolist():
             self._follow_motor(knot)
         seen = None if reading is None else self._angle_of(scene_s, reading, p)
-        self._window.move(way, self._strokes.number)
+        self._window.add_path(way, self._strokes.number)
         if seen is not None:
             self._learn_from(scene_s, seen, p)
 
@@ -263,7 +263,7 @@ class LawTracker:
         if len(reading) == 1:
             seen: AngleEstimate | None = self.projection.from_angle(reading[0])
         else:
-            translation, rotation = self._path.others_at(scene_s)
+            translation, rotation = self._path.other_axes_at(scene_s)
             near = float(self._law.angle(p))
             seen = self.projection.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
         return None if seen is None or not np.isfinite(seen.c_deg) else seen
@@ -295,7 +295,7 @@ class LawTracker:
             if self._strange == _STRANGE_FRAMES:
                 self._begin_with_offset(y - within, within)
                 return
-        kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._strokes.number)
+        kept = self._window.add_frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._strokes.number)
         if not kept:
             return
         off = y - p
@@ -313,10 +313,10 @@ class LawTracker:
         self._learn_beyond(seen, p)
         self._judgement.add_frame()
         if self._begun_lately:
-            self._lean.add(seen.c_deg - float(law.angle(p)))
+            self._common_error.add(seen.c_deg - float(law.angle(p)))
         self._off += _PACE * (abs(off) - self._off)
         self._scatter.add(off / sigma)
-        back = self._aside.add(q, off, sigma * self._level, self.state is State.TRUSTED)
+        back = self._image_jump.add(q, off, sigma * self._level, self.state is State.TRUSTED)
         self._add_to_doubts(off / (sigma * self._level), scene_s)
         if back and self.state is State.STALE:
             self._become_trusted("the image is back from something else, and the model holds")
@@ -364,7 +364,7 @@ class LawTracker:
     def _persistent_error(self) -> float:
         """What is added to the predicted angle, deg: at a recording's begin the error that all frames have alike, as it
         most likely goes on until the other direction tells an offset from a width; else, and of a trusted law, 0."""
-        return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._lean.common_deg
+        return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._common_error.common_deg
 
     @property
     def _begun_lately(self) -> bool:
@@ -402,8 +402,8 @@ class LawTracker:
         longer lie on an envelope."""
         self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
-        self._lean = Lean()  # the one before leaves no more
-        self._aside.clear()
+        self._common_error = CommonError()  # the one before leaves no more
+        self._image_jump.clear()
         if self._law.most > before.most:  # what lay on its envelope need not any more
             self._passes.clear()
         self._offset = self.nominal.offset(theta)
@@ -431,7 +431,7 @@ class LawTracker:
     def _work_on_verdict(self) -> None:
         """Continues the judgement of hypotheses by as much work as a frame has time for, or begins one unless the law
         is trusted."""
-        if self.state is not State.TRUSTED and self._judgement.due:
+        if self.state is not State.TRUSTED and self._judgement.may_begin:
             self._judgement.begin(self._new_judgement())
         verdict = self._judgement.advance()
         if verdict is not None:
@@ -461,7 +461,7 @@ class LawTracker:
         elif moved and self._strokes_ago(_FEW_STROKES) <= self._since:
             starts.setdefault(self._strokes_ago(1), self._theta)
         noise = self._scatter.ratio
-        stretches = [(self._window.since(since), origin) for since, origin in starts.items()]
+        stretches = [(self._window.evidence_since(since), origin) for since, origin in starts.items()]
         return [(replace(evidence, noise=noise), origin) for evidence, origin in stretches if evidence is not None]
 
     def _strokes_ago(self, count: int) -> int:
@@ -476,15 +476,15 @@ class LawTracker:
             self._disturbance.note_judgement(self._arrival_s)
         if verdict.theta is None or self._disturbance.was_judged(self._arrival_s):
             if self.state is State.STALE:
-                self.reason = self._taken_up.dialled or verdict.says
-            elif not verdict.early and self._judgement.unexplained(self._strokes.number):
+                self.reason = self._taken_up.why_dialled or verdict.says
+            elif not verdict.early and self._judgement.note_unexplained(self._strokes.number):
                 self._anchor = None
                 self._since = self._strokes_ago(1)
                 self._change_state(State.STALE, verdict.says)
             return
-        self._judgement.explained()
+        self._judgement.note_explained()
         self._adopt(verdict)
-        again = verdict.settled and np.array_equal(self._theta, unchanged())
+        again = verdict.settled and np.array_equal(self._theta, calibrated_theta())
         if again or (verdict.turns >= _SETTLED_TURNS and verdict.settled):
             own = float(np.sqrt(max(verdict.level**2 - verdict.evidence.noise**2, 0.0) + 1.0))
             self._misfit = min(own, _MOST_LEVEL)
@@ -501,13 +501,13 @@ class LawTracker:
         if narrow is not None and narrow.share < self._taken_up.scale:
             self._taken_up.dial_down(narrow.share)
             self._sigma = (self._sigma[0], float(np.hypot(self._own[1], narrow.sigma)))
-            self.reason = self._taken_up.dialled
+            self.reason = self._taken_up.why_dialled
 
     def _adopt(self, verdict: Inference) -> None:
         """Takes a verdict's law into use, and follows the evidence again by it, so that the play is where it would
         be."""
         assert verdict.theta is not None
-        anchor = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
+        anchor = self._window.entry_number_at(verdict.evidence.t_s[0], self._recording_entry)
         if verdict.refines and self._anchor is not None:
             anchor = self._anchor
         elif anchor != self._anchor:
@@ -520,10 +520,10 @@ class LawTracker:
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
         )
-        now = self._window.since(anchor)
+        now = self._window.evidence_since(anchor)
         assert now is not None
         self._play = _native.TrackState(float(self._law.place(now.c_deg[0])))
-        path = np.concatenate([now.q, self._window.skipped])
+        path = np.concatenate([now.q, self._window.path_since_entry])
         self._law.followed.run(self._play, path + self._theta[OFFSET], True)
         self._clear_doubts(self._window.end)
         if verdict.narrower:

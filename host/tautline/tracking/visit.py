@@ -20,8 +20,8 @@ class Visit:
     """The motor's path and the frames of one stay. All frames are used again with each new one: where the tip was
     carried to depends on the law that they tell."""
 
-    before: LawFamily  # what was known of the law when the stay began
-    play: Any  # where the play's elements were then
+    family_before: LawFamily  # what was known of the law when the stay began
+    play_before: Any  # where the play's elements were then
     _path: list[float] = field(default_factory=list)  # the motor's positions since then, unit of q
     _frames: list[tuple[int, float, float]] = field(default_factory=list)  # index in the path; c, deg; its sigma, deg
 
@@ -43,8 +43,8 @@ class Visit:
         self._frames.append((len(self._path) - 1, c_deg, sigma))
         at, seen, sigmas = (np.array(column) for column in zip(*self._frames, strict=True))
         q, law = np.array(self._path) + theta[OFFSET], family.law(theta)
-        p, _, by = law.followed.run(self.play.copy(), q, True)
-        family = self.before.with_frames(family, law, p[at], by[at, 1:], seen, sigmas)
-        play = self.play.copy()
+        p, _, by = law.followed.run(self.play_before.copy(), q, True)
+        family = self.family_before.with_frames(family, law, p[at], by[at, 1:], seen, sigmas)
+        play = self.play_before.copy()
         family.law(theta).followed.run(play, q, True)
         return family, play

@@ -56,7 +56,7 @@ class Window:
         self._count = 0
         self._kept_q, self._kept_t = np.inf, -np.inf
         self._entered_q = np.nan
-        self._skipped: list[float] = []
+        self._path_since_entry: list[float] = []
         self.last_q = np.nan  # where the motor's path ends
 
     @property
@@ -65,11 +65,11 @@ class Window:
         return self._first + self._count
 
     @property
-    def skipped(self) -> Array:
+    def path_since_entry(self) -> Array:
         """The path since the last entry."""
-        return np.array(self._skipped)
+        return np.array(self._path_since_entry)
 
-    def number_of(self, t_s: float, since: int) -> int:
+    def entry_number_at(self, t_s: float, since: int) -> int:
         """Number of the first frame at t_s or later among the entries from `since` on; `since` itself, or the oldest
         entry kept after it, where there is none."""
         first = min(max(since - self._first, 0), self._count)
@@ -78,25 +78,25 @@ class Window:
 
     def cut(self) -> None:
         """Ends the path: what comes does not continue it."""
-        self._skipped.clear()
+        self._path_since_entry.clear()
         self._kept_q, self._kept_t = np.inf, -np.inf
         self._entered_q = self.last_q = np.nan
 
-    def move(self, path: Array, stroke: int) -> None:
+    def add_path(self, path: Array, stroke: int) -> None:
         """Adds a piece of the motor's path, positions (n,), in this stroke; entered with the next frame, or once it is
         long."""
-        self._skipped += path.tolist()
-        self.last_q = self._skipped[-1]
-        if len(self._skipped) > _LONG:
+        self._path_since_entry += path.tolist()
+        self.last_q = self._path_since_entry[-1]
+        if len(self._path_since_entry) > _LONG:
             self._enter_path(stroke)
 
-    def frame(self, t_s: float, c_deg: float, sigma: float, off: float, stroke: int) -> bool:
+    def add_frame(self, t_s: float, c_deg: float, sigma: float, off: float, stroke: int) -> bool:
         """Adds a frame at the end of the path: angle and sigma, deg; off: standard deviations off the track. Returns
         whether it was kept: it is not if motor and time are near those of the last one."""
         q = self.last_q
         if abs(q - self._kept_q) < self._apart and t_s - self._kept_t < _REST_S:
             return False
-        if self._skipped:
+        if self._path_since_entry:
             self._enter_path(stroke)
         row = (q, c_deg, sigma, t_s, stroke, off)
         self._rows[self._count - 1] = row
@@ -105,12 +105,12 @@ class Window:
 
     def _enter_path(self, stroke: int) -> None:
         """Enters the path since the last entry, reduced to the points that a play depends on."""
-        path = np.array(self._skipped)
+        path = np.array(self._path_since_entry)
         before = self._entered_q if np.isfinite(self._entered_q) else float(path[0])
         for q in knots(before, path[:-1], float(path[-1])).tolist():
             self._enter((q, np.nan, np.nan, np.nan, stroke, np.nan))
         self._entered_q = float(path[-1])
-        self._skipped.clear()
+        self._path_since_entry.clear()
 
     def _enter(self, row: tuple[float, ...]) -> None:
         """Appends a row (q, c_deg, sigma, t_s, stroke, off), NaN where no frame saw the tip; when the ring is full the
@@ -123,7 +123,7 @@ class Window:
         self._rows[self._count] = row
         self._count += 1
 
-    def since(self, number: int) -> WindowKnots | None:
+    def evidence_since(self, number: int) -> WindowKnots | None:
         """The evidence from an entry on, as far as it is still kept and not too long. None for fewer than three seen
         frames."""
         first = max(number - self._first, 0, self._count - LONGEST)

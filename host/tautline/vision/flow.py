@@ -28,7 +28,7 @@ def corners_in(grey: Picture, mask: Picture, most: int, apart_px: float) -> Arra
     return np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
 
 
-def found_again(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+def track_corners(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.intp]]:
     """Finds the corners `start` (n, 2) px of one grey picture again in the other, around `guess` (n, 2) px, by optical
     flow. Returns their places there (n, 2) px, and the indices of those to be trusted: the flow back to the first
     picture leads them to within _THERE_AND_BACK_PX of where they were."""

@@ -68,7 +68,7 @@ class MarkerTracker:
 
     def __init__(self, colour: MarkerColour, alike: Sequence[tuple[float, float]] = ()) -> None:
         """colour: the marker's, as it was picked; alike: places (u, v) px of decoys, things with the marker's colour
-        and size that do not move (see `alike_but_still`)."""
+        and size that do not move (see `find_decoys`)."""
         self.colour = colour
         self._decoys = np.array(alike, dtype=float).reshape(-1, 2)  # px
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
@@ -228,7 +228,7 @@ class MarkerTracker:
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     """The marker's colour from BGR pictures of one scene that were taken some time apart: of the colours that stand
     out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. Where it is pale against
-    `_of_median_purity`, as in glare, that one is taken if it finds the marker about as well. None where nothing stands
+    `_colour_of_median_purity`, as in glare, that one is taken if it finds the marker about as well. None where nothing stands
     out."""
     colours: list[MarkerColour] = []
     for picture in pictures[:: max(1, len(pictures) // _LOOKED_AT)][:_LOOKED_AT]:
@@ -241,7 +241,7 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     if not scored:
         return None
     score, _, best = max(scored, key=lambda entry: entry[:2])  # of equals the first
-    usual = _of_median_purity(best, pictures)
+    usual = _colour_of_median_purity(best, pictures)
     pale = _purity(best) < _PALE * _purity(usual)
     return usual if pale and _moving_score(usual, pictures) >= _AS_OFTEN * score else best
 
@@ -251,7 +251,7 @@ def _purity(colour: MarkerColour) -> float:
     return 1.0 - min(colour.colour) / max(*colour.colour, 1.0)
 
 
-def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
+def _colour_of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
     """Picks the marker's colour anew in every picture that shows it, and returns the one of median purity: where it was
     picked first the marker may have been pale with light. `colour` itself where no picture shows it."""
     tracker = MarkerTracker(colour)
@@ -266,7 +266,7 @@ def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> Marker
     return picked[len(picked) // 2] if picked else colour
 
 
-def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
+def find_decoys(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
     """Places (u, v) px of decoys: things of the marker's colour and size that rest in BGR pictures taken some time
     apart, while another one, the marker, moves. Empty where all of them move, or none does. The place with most blobs
     around it is a decoy's if enough pictures show it; then the next among the remaining blobs."""
@@ -344,15 +344,15 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
             f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V', or with "
             "--region U,V a place to follow where there is no marker"
         )
-    tracker = MarkerTracker(colour, alike_but_still(colour, samples))
+    tracker = MarkerTracker(colour, find_decoys(colour, samples))
     frames = _Frames(*every_frame(video, tracker.track, progress))
     if not any(s.valid for s in frames.seen):
         raise TautError(
             f"{video.path}: no marker is seen in any of its {len(frames.seen)} frames: "
             f"pick its colour with 'taut marker {video.path}', and --at U,V if it does not stand out"
         )
-    sure = of_one_marker(frames.seen)
-    return replace(frames, seen=lit_by_place(frames.seen, sure)).rows(sure)
+    sure = which_show_marker(frames.seen)
+    return replace(frames, seen=smooth_light_correction(frames.seen, sure)).rows(sure)
 
 
 def _track_region(video: Video, region: Region, progress: Progress | None) -> Marker:
@@ -399,7 +399,7 @@ def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None
     return replace(recording, marker=track_video(recording.video, progress=progress))
 
 
-def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
+def which_show_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
     """(n,) Which of the sightings, of n frames in order, are the marker's. Where a sighting is too far from the one
     before for the marker's speed, something else was taken for it: the track is cut there into stretches, and the chain
     of stretches with most frames along which a marker could go is kept. A sighting beside a lost frame is dropped if
@@ -431,7 +431,7 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
     return valid
 
 
-def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[Sighting]:
+def smooth_light_correction(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[Sighting]:
     """The sightings with their correction for light from one side (lit_px), which each frame tells with noise, smoothed
     over the marker's place in the image: at one place it is the same, whichever way the marker goes. sure (n,): which
     sightings are the marker's; the others stay as they are."""

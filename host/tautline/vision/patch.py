@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.errors import TautError
-from tautline.vision.flow import EvenLight, Picture, corners_in, found_again
+from tautline.vision.flow import EvenLight, Picture, corners_in, track_corners
 from tautline.vision.keyframes import Keyframes
-from tautline.vision.sighting import SURE_PX, Sighting, check_in_picture, lost
+from tautline.vision.sighting import SURE_PX, Sighting, check_in_picture, lost_sighting
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -55,14 +55,14 @@ class Pose:
     a: float = 1.0  # scale * cos(turn)
     b: float = 0.0  # scale * sin(turn)
 
-    def then(self, motion: Array) -> Pose:
+    def moved_by(self, motion: Array) -> Pose:
         """The pose after a motion of the picture, an affine map (2, 3) of px to px: all of it moves the middle, its
         similarity part turns and scales."""
         c, s = 0.5 * float(motion[0, 0] + motion[1, 1]), 0.5 * float(motion[1, 0] - motion[0, 1])
         u, v = motion @ (self.u, self.v, 1.0)
         return Pose(float(u), float(v), c * self.a - s * self.b, s * self.a + c * self.b)
 
-    def to(self, other: Pose) -> Array:
+    def motion_to(self, other: Pose) -> Array:
         """The similarity (2, 3), of px to px, that takes this pose to the other."""
         size = self.a**2 + self.b**2
         c = (other.a * self.a + other.b * self.b) / size
@@ -87,10 +87,10 @@ class Pose:
         placed: Array = corners @ np.array([[self.a, self.b], [-self.b, self.a]]) / self.size + (self.u, self.v)
         return placed
 
-    def unlike(self, other: Pose, side_px: float) -> float:
+    def difference_to(self, other: Pose, side_px: float) -> float:
         """How different the region looks in two poses: a distance by turn, scale and shift, without unit; from 1 on a
         new keyframe is taken. side_px: of the region."""
-        motion = self.to(other)
+        motion = self.motion_to(other)
         turn = np.degrees(np.arctan2(motion[1, 0], motion[0, 0]))
         scale = np.log(np.hypot(motion[1, 0], motion[0, 0]))
         away = np.hypot(other.u - self.u, other.v - self.v) / (_AWAY * side_px)
@@ -138,18 +138,18 @@ class _Keyframe:
         middle = self.pose.u - float(self.corner[0]), self.pose.v - float(self.corner[1])
         return np.asarray(cv2.getRectSubPix(self.picture, (side, side), middle), dtype=np.uint8)
 
-    def seen_at(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
+    def locate(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
         """The region's pose in another picture by this keyframe's corners, of which those count that follow one affine
         motion (RANSAC), and the standard deviation of its middle, px per coordinate. None where too few corners do.
         expected: the pose about which they are looked for. If the region has moved since the keyframe, it is counted
         which corners went along, for `settle`."""
-        motion = self.pose.to(expected)
+        motion = self.pose.motion_to(expected)
         cut, corner = light.cut(expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
         if len(self.corners) < _FEWEST:
             return None
         start = (self.corners - self.corner).astype(np.float32)
         guess = (self.corners @ motion[:, :2].T + motion[:, 2] - corner).astype(np.float32)
-        there, kept = found_again(self.picture, cut, start, guess)
+        there, kept = track_corners(self.picture, cut, start, guess)
         if len(kept) < _FEWEST:
             return None
         places, here = there[kept] + corner, self.corners[kept]
@@ -160,7 +160,7 @@ class _Keyframe:
         if fit is None or len(together) < max(_FEWEST, _SHARE * len(self.corners)):
             return None
         self.together = len(together)
-        pose = self.pose.then(np.asarray(fit))
+        pose = self.pose.moved_by(np.asarray(fit))
         if np.hypot(pose.u - self.pose.u, pose.v - self.pose.v) > _APART_PX:
             self._tried += 1
             self._met[kept[together]] += 1
@@ -227,7 +227,7 @@ class PatchTracker:
             self._poses.clear()
             found = self._search(light)
         if found is None:
-            return lost("the region is not found")
+            return lost_sighting("the region is not found")
         pose, sigma = found
         self._poses.append(pose)
         return Sighting(pose.u, pose.v, sigma, self.side_px * pose.size)
@@ -236,14 +236,14 @@ class PatchTracker:
     def _expected(self) -> Pose:
         """The pose in the next frame if the motion goes on as before."""
         before, last = self._poses[0], self._poses[-1]
-        return last.then(before.to(last))
+        return last.moved_by(before.motion_to(last))
 
     def _pose_by_nearest(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
         """The region's pose and its sigma, px per coordinate, by the nearest keyframes that find it near `expected`,
         weighted by nearness; None where none does. While learning, the difference of two keyframes is noted, and a
         keyframe is added where the nearest one is far or few of its corners are found."""
-        away = [key.pose.unlike(expected, self.side_px) for key in self._keyframes.keys]
-        found = self._keyframes.nearest(away, lambda key: key.seen_at(light, expected), beyond=True)
+        away = [key.pose.difference_to(expected, self.side_px) for key in self._keyframes.keys]
+        found = self._keyframes.nearest(away, lambda key: key.locate(light, expected), beyond=True)
         if not found:
             return None
         if len(found) == 2:
@@ -259,7 +259,7 @@ class PatchTracker:
 
     def _search(self, light: EvenLight) -> tuple[Pose, float] | None:
         """The region's pose and its sigma, px per coordinate, anywhere in the frame: template matching of the keyframes
-        in the shrunk picture, then `seen_at` at the likeliest places. A keyframe that is the only one, as in another
+        in the shrunk picture, then `locate` at the likeliest places. A keyframe that is the only one, as in another
         video, is also tried turned. None where nothing is found."""
         small = _smaller(light.whole)
         views = self._keyframes.keys
@@ -274,7 +274,7 @@ class PatchTracker:
                 ranked.append((like, _SHRINK * (np.array(place) + 0.5 * np.array(square.shape[::-1])), view))
         ranked.sort(key=lambda entry: -entry[0])
         for like, (u, v), view in ranked[:_TRIED]:
-            found = view.seen_at(light, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
+            found = view.locate(light, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
             if found is not None:
                 return found
         return None

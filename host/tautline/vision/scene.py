@@ -18,7 +18,7 @@ import numpy.typing as npt
 from tautline.errors import TautError
 from tautline.recording import Angle, Motor, Video
 from tautline.rig import Camera, Coarse, Rig
-from tautline.vision.flow import Picture, corners_in, even_light, found_again
+from tautline.vision.flow import Picture, corners_in, even_light, track_corners
 from tautline.vision.frames import Progress, every_frame, half_progress
 from tautline.vision.keyframes import Keyframes
 
@@ -80,7 +80,7 @@ class SceneTracker:
             return self._begin_anew(grey)
         expected = self._turns[-1] if self._turns else np.zeros(3)
         if len(self._turns) == 2:  # as much further as between the last two frames: R1 R0^T R1
-            expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
+            expected = _rotation_vector(_rotation_matrix(self._turns[1]) @ _rotation_matrix(self._turns[0]).T @ _rotation_matrix(self._turns[1]))
         turn = self._turn_by_nearest(self._keyframes, grey, expected)
         if turn is None and (turn := self._turn_by_best(self._keyframes, grey)) is None:
             self._turns.clear()
@@ -102,7 +102,7 @@ class SceneTracker:
             shifted = self._keyframes.settle()
             if shifted is not None:
                 for key, by in zip(self._keyframes.keys, shifted[0], strict=True):
-                    key.turn = _vector(_matrix(by) @ _matrix(key.turn))
+                    key.turn = _rotation_vector(_rotation_matrix(by) @ _rotation_matrix(key.turn))
             for key in self._keyframes.keys:
                 key.settle()
         self._turns.clear()
@@ -128,7 +128,7 @@ class SceneTracker:
         """The camera's turn (3,) rad in a grey picture by one keyframe's corners, and how many of them it is by: those
         that follow one homography (RANSAC). None where too few do. expected: (3,) rad, the turn at which the corners
         are looked for. Counts for each corner whether it went along."""
-        ahead = key.towards @ (_matrix(expected) @ _matrix(key.turn).T).T  # (n, 3) directions of its corners, then
+        ahead = key.towards @ (_rotation_matrix(expected) @ _rotation_matrix(key.turn).T).T  # (n, 3) directions of its corners, then
         if not len(ahead):
             return None
         guess, _ = cv2.projectPoints(
@@ -141,7 +141,7 @@ class SceneTracker:
         if len(shown) < _FEWEST:
             return None
         start = key.corners[shown].astype(np.float32)
-        there, kept = found_again(key.picture, grey, start, guess[shown].astype(np.float32))
+        there, kept = track_corners(key.picture, grey, start, guess[shown].astype(np.float32))
         if len(kept) < _FEWEST:
             return None
         one, other = key.towards[shown[kept]], self._directions(there[kept].astype(float))
@@ -152,7 +152,7 @@ class SceneTracker:
             return None
         key.tried[shown[kept]] += 1
         key.met[shown[kept[together]]] += 1
-        return _vector(_rotation_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
+        return _rotation_vector(_rotation_between(one[together], other[together]) @ _rotation_matrix(key.turn)), len(together)
 
     def _turn_by_nearest(self, keyframes: Keyframes[_Keyframe], grey: Picture, expected: Array) -> Array | None:
         """The camera's turn (3,) rad by the keyframes nearest to the turn `expected` (3,), weighted by nearness; None
@@ -166,7 +166,7 @@ class SceneTracker:
         for other_weight, second, (other, _) in others:
             by = _relative_turn(turn, other)
             keyframes.note(first, second, -by)
-            turn = _vector(_matrix(other_weight / (weight + other_weight) * by) @ _matrix(turn))
+            turn = _rotation_vector(_rotation_matrix(other_weight / (weight + other_weight) * by) @ _rotation_matrix(turn))
         if keyframes.has_room and away.min() > 1.0:
             keyframes.keys.append(self._keyframe(grey, turn))
         return turn
@@ -186,12 +186,12 @@ def _rotation_between(one: Array, other: Array) -> Array:
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
-def _matrix(turn: Array) -> Array:
+def _rotation_matrix(turn: Array) -> Array:
     """The rotation matrix (3, 3) of a rotation vector (3,) rad."""
     return np.asarray(cv2.Rodrigues(np.asarray(turn, dtype=float))[0])
 
 
-def _vector(rotation: Array) -> Array:
+def _rotation_vector(rotation: Array) -> Array:
     """The rotation vector (3,) rad of a matrix (3, 3)."""
     turn: Array = np.asarray(cv2.Rodrigues(rotation)[0], dtype=float).ravel()
     return turn
@@ -199,7 +199,7 @@ def _vector(rotation: Array) -> Array:
 
 def _relative_turn(one: Array, other: Array) -> Array:
     """(3,) rad Rotation vector that takes the turn `one` to `other`, rotation vectors (3,) rad too."""
-    return _vector(_matrix(other) @ _matrix(one).T)
+    return _rotation_vector(_rotation_matrix(other) @ _rotation_matrix(one).T)
 
 
 def bending_by_scene(video: Video, motor: Motor, rig: Rig, progress: Progress | None = None) -> Angle:

@@ -35,6 +35,6 @@ def check_in_picture(at: tuple[float, float], width: int, height: int) -> None:
         raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
 
 
-def lost(why: str) -> Sighting:
+def lost_sighting(why: str) -> Sighting:
     """The sighting of a frame in which the marker was not found: every number NaN. why: the reason in words."""
     return Sighting(u_px=np.nan, v_px=np.nan, sigma_px=np.nan, diameter_px=np.nan, lost=why)
