@@ -218,8 +218,8 @@ def fit_law(
 ) -> Work[LawFit]:
     """Fits a law to evidence: varies the parameters with the indices `free` from `start` on, in at most _TURNS steps of
     Levenberg and Marquardt, to minimise Huber's cost of the residuals plus the prior's. The prior's precision is
-    multiplied by the residuals' mean square (`_level2`), so that what no law explains bends none. Yields each piece's
-    cost beforehand, us."""
+    multiplied by the residuals' mean square (`_level2`), so that residuals that no law explains do not outweigh it.
+    Yields each piece's cost beforehand, us."""
     picked = list(free)
     of_prior = prior.information(picked)
     theta = nominal.clipped(start)
