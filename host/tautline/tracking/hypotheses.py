@@ -159,9 +159,9 @@ def _verdict_on_stretch(
 
 
 def _calibrated_leaves_less(case: Case, fit: LawFit) -> bool:
-    """Whether the calibrated law, where another is in use, holds again in the last LATELY strokes: its level is at most
-    EXPLAINED, or _AGAIN[0] times that of the best fit; that of the law in use is more than _AGAIN[1] times as large,
-    and larger on each stroke. The tip must have turned, and been where both laws differ."""
+    """Whether the calibrated law, where another is in use, holds again in the last LATELY strokes: its level there is
+    at most EXPLAINED, or _AGAIN[0] times that of the best fit; the law in use has more than _AGAIN[1] times that level,
+    and no less on any of these strokes. The tip must have turned, and been where both laws differ."""
     if not case.turns or np.array_equal(case.theta, calibrated_theta()) or not _tells_apart(case, lately=True):
         return False
     calibrated = case.level_lately(case.z_calibrated)
@@ -351,8 +351,9 @@ def _gain_of_richer(fit: LawFit, richer: LawFit) -> float:
 
 
 def _verdict_by_offset(case: Case, least: float) -> Work[Inference]:
-    """Judges a recording's first stroke: takes the offset of another posture into use, if it differs by more than
-    `least`, unit of q, explains the evidence, and the tip followed the motor far enough; else it is too early."""
+    """Judges a recording's first stroke. Returns the verdict to use the offset of another posture, if it differs by
+    more than `least`, unit of q, explains the evidence, and the tip followed the motor far enough (_SHORT, _ALONG);
+    else that it is too early."""
     at = case.envelopes.at
     nominal = case.nominal
     y = case.places(case.theta, at)

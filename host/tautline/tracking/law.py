@@ -171,8 +171,8 @@ class LawFamily:
         return theta
 
     def law(self, theta: Array) -> Law:
-        """The law with the parameters theta (PARAMETERS,), which must be within their limits (`clipped`). Up to _KEPT
-        laws and one are kept, as a fit asks for each several times; then all are forgotten."""
+        """The law with the parameters theta (PARAMETERS,), which must be within their limits (`clipped`). Laws are
+        kept, as a fit asks for each several times; all are forgotten once they are more than _KEPT."""
         key = theta.tobytes()
         if key not in self._laws_by_theta:
             if len(self._laws_by_theta) > _KEPT:
@@ -215,8 +215,8 @@ class LawFamily:
         return self.with_beyond(self.beyond.updated(by[told], residual[told], sigma[told])) if told.any() else self
 
     def gradual_start(self, theta: Array) -> Array:
-        """Returns theta as a start for a fit of a gradual onset: of a single play with a spread of at least _GRADUAL
-        where it was smaller than _LEAST_GRADUAL, as its derivatives exist only with several elements."""
+        """Returns theta as a start for a fit of a gradual onset. Of a single play a spread below _LEAST_GRADUAL becomes
+        _GRADUAL, as its derivatives exist only with several elements."""
         theta = theta.copy()
         if self.model.elements.single and theta[SPREAD] < _LEAST_GRADUAL:
             theta[SPREAD] = _GRADUAL

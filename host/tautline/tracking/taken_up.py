@@ -12,8 +12,8 @@ Array = npt.NDArray[np.float64]
 
 
 class TakenUp:
-    """`scale` is the least share of B that may be taken up between the reversals that measured it; `dialled` says why
-    that is less than what the law in use has, or is ""."""
+    """`scale` is the least share of B that may be taken up between the reversals that measured it; `why_dialled` says
+    why that is less than what the law in use has, or is ""."""
 
     def __init__(self, model: Model) -> None:
         """Begins with all of the calibrated B allowed. model: as calibrated, on the grid of its family."""
@@ -43,13 +43,13 @@ class TakenUp:
 
     def take_up_all_allowed(self, theta: Array) -> None:
         """Sets the scale to the least allowed share of B where B was measured, or to that of theta (PARAMETERS,) if it
-        was measured nowhere; ends dialling down."""
+        was measured nowhere; ends a dialling down."""
         self.why_dialled = ""
         self.scale = float(np.min(self._allowed[self._measured])) if self._measured.any() else float(theta[SCALE])
 
     def dial_down(self, share: float) -> None:
-        """Sets the scale to this share of B until a law is adopted or trusted again, as two passes of one place show a
-        narrower B; sets `dialled` to why."""
+        """Sets the scale to this share of B, as two passes of one place show a narrower B, until a law is adopted or
+        trusted again; sets `why_dialled`."""
         self.scale = share
         self.why_dialled = (
             f"transmission.backlash: {100 * share:.0f} % of the calibrated width "
