@@ -87,7 +87,8 @@ class Case:
             return False
         if fit.level > of_before * max(self.level_in_use, trimmed_rms(self.z_calibrated)):
             return False
-        return self.level_lately(fit.z) <= _LATELY_OF * min(self.level_lately(self.z), self.level_lately(self.z_calibrated))
+        lesser = min(self.level_lately(self.z), self.level_lately(self.z_calibrated))
+        return self.level_lately(fit.z) <= _LATELY_OF * lesser
 
     def leaves_little(self, fit: LawFit) -> bool:
         """Whether a fit's level is at most the share OF_BEFORE[0] of that of the law in use."""

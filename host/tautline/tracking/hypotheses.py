@@ -424,7 +424,8 @@ def _verdict_to_adopt(case: Case, fit: LawFit) -> Inference:
     """Returns the verdict to use a fit's law from now on."""
     assert case.evidence is fit.evidence
     y = case.places(fit.theta, case.envelopes.at)
-    passed = case.envelopes.range_both_ways(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
+    both_ways = case.envelopes.range_both_ways(case.evidence, case.nominal.law(fit.theta))
+    passed = both_ways or (float(y.min()), float(y.max()))
     return Inference(
         changes_in_words(case, fit.theta),
         case.evidence,

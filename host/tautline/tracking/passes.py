@@ -61,7 +61,8 @@ class Passes:
         # track in sigmas; _SPACING between the two frames, unit of q; _ENTRY, the later frame's number.
         self._passes = np.full((2, _ENTRY + 1, count), np.nan)
         self._law: Law | None = None  # that `narrowing` was last asked about
-        self._by_law, self._half = np.empty(0), np.empty(0)  # (places,) centre coordinates by that law, half its B there
+        # (places,) The centre coordinates of the cells by that law, and half of its B there.
+        self._by_law, self._half = np.empty(0), np.empty(0)
         self._last: _Frame | None = None  # None where the next frame continues no stroke
         self._moves = False  # whether the tip moved with the motor from the frame before it to the last one
 
