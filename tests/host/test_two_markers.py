@@ -13,7 +13,7 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.camera import VideoFile
-from tautline.vision.marker import MarkerTracker, find_decoys, find_colour, which_show_marker, track_video
+from tautline.vision.marker import MarkerTracker, find_colour, find_decoys, track_video, which_show_marker
 from tautline.vision.sighting import Sighting
 
 FRAMES = 80

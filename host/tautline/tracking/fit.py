@@ -306,7 +306,9 @@ def _misfit2(nominal: LawFamily, evidence: WindowKnots, level2: float, taken: fl
     return max(level2 - evidence.noise**2, 0.0) * count / max(count - taken, 1.0)
 
 
-def start_from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
+def start_from_envelopes(
+    nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool
+) -> Array:
     """Returns theta with a start for a fit of the offset, with `both` of the scale, too, from the frames on an
     envelope. There, way (q - y) = scale B/2 - way offset; the line is fitted by least absolute deviations, which
     outliers move little (iteratively reweighted least squares). y: centre coordinates by theta's law, unit of q. B is

@@ -33,9 +33,9 @@ from tautline.tracking.fit import (
     Prior,
     Work,
     fit_law,
-    start_from_envelopes,
     learn_beyond,
     simulated_residuals,
+    start_from_envelopes,
     trimmed_rms,
     with_offset_at_tip,
 )

@@ -19,7 +19,7 @@ from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
-from tautline.tracking.disturbance import ImageJump, Disturbance
+from tautline.tracking.disturbance import Disturbance, ImageJump
 from tautline.tracking.doubt import JUMP, ONSET, Doubt
 from tautline.tracking.fit import REACH, SURE, Work
 from tautline.tracking.hypotheses import Inference, judge

@@ -26,8 +26,9 @@ class Exposure:
 
 def lock(capture: cv2.VideoCapture) -> Exposure:
     """Locks an open device's exposure: drops _SETTLES frames, in which the automatic one settles, then sets the same
-    value as a manual one. Where the camera refuses, or takes another value, it is set back to automatic. Returns what
-    came of it; `before` is set, for `release`, only where the exposure was changed."""
+    value as a manual one. An exposure that is manual already stays. Where the camera refuses, or takes another value,
+    it is set back to automatic. Returns what came of it; `before` is set, for `release`, only where the exposure was
+    changed."""
     for _ in range(_SETTLES):
         capture.grab()
     backend = capture.getBackendName()
