@@ -36,7 +36,7 @@ class Beyond:
     covariance: Array
 
     @classmethod
-    def unseen(cls, model: Model) -> Self:
+    def prior(cls, model: Model) -> Self:
         """Returns the prior, before frames showed anything there. Its means are 0; the standard deviations of slope and
         curvature are those by which each curve's slope varies over PLACES places of the measured range. The grid of the
         model is continued by _REACH of its span on either side. A model that was measured at one place or none counts

@@ -51,7 +51,9 @@ class Case:
     z_calibrated: Array  # the same by the calibrated one
 
     @classmethod
-    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[Case]:
+    def from_evidence(
+        cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float
+    ) -> Work[Case]:
         """Simulates this evidence by the law in use (theta) and by the calibrated one; looks for the frames on an
         envelope of the play, the range that was passed both ways, and the turns. A turn counts if two frames of the
         stroke after it are on an envelope; the first such stroke has none before it. origin, level: as the fields of
@@ -122,7 +124,7 @@ class Case:
         mean = calibrated_theta()
         mean[OFFSET], mean[SHAPE] = self.origin[OFFSET], self.origin[SHAPE]
         span = self.nominal.model.rig.actuator.span
-        return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.places_known)
+        return Prior.about(mean, span, span * abs(self.nominal.tip_slope), self.places_known)
 
     @property
     def first_departure(self) -> int:

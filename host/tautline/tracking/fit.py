@@ -120,7 +120,7 @@ class Prior:
     known: npt.NDArray[np.bool_]  # (PLACES,) whether the evidence tells the shape there
 
     @classmethod
-    def of(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
+    def about(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
         """The prior about `mean` (PARAMETERS,). span: the motor's range, unit of q; span_deg: how much f_remain changes
         over it, deg; known (PLACES,): at which places the evidence tells the shape of B."""
         sigma = np.full(PARAMETERS, 0.5)  # shares of B: of shape, spread and skew

@@ -110,9 +110,9 @@ def judge(
     whose law is to foretell the strokes since. Yields each piece's cost beforehand, us."""
     verdict = None
     for evidence, origin in stretches:
-        case = yield from Case.of(nominal, evidence, theta, origin, level)
+        case = yield from Case.from_evidence(nominal, evidence, theta, origin, level)
         if not adapting and np.array_equal(theta, calibrated_theta()) and (first := case.first_departure):
-            case = yield from Case.of(nominal, evidence.after(first), theta, origin, level)
+            case = yield from Case.from_evidence(nominal, evidence.after(first), theta, origin, level)
         verdict = yield from _verdict_on_stretch(case, adapting, least_offset, moved, proposal)
         if verdict.theta is not None:
             refines = verdict.refines or (moved and evidence is not stretches[0][0])
@@ -199,9 +199,9 @@ def _verdict_before_enough(case: Case, fit: LawFit, begun_lately: bool) -> Work[
 
 
 def _verdict_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
-    """Judges a fit that too few reversals agree with by its width alone. If B is clearly narrower, that and nothing
-    else is taken from it at once, or, where it does not leave less by itself, the fit is only proposed. None where the
-    fit does not tell a clearly narrower B."""
+    """Judges a fit that too few reversals agree with by its width alone. If B is clearly narrower than by the law in
+    use, that and nothing else is taken from the fit at once, provided that the fit leaves little, or the narrower B
+    alone leaves less; else the fit is only proposed. None where the fit does not tell a clearly narrower B."""
     shaped = SHAPE.start in fit.free
     tells_width = case.is_explained_by(fit) if shaped else SCALE in fit.free
     learnt = _verdict_to_adopt(case, fit)
@@ -430,6 +430,7 @@ def _verdict_to_adopt(case: Case, fit: LawFit) -> Inference:
         changes_in_words(case, fit.theta),
         case.evidence,
         fit.theta,
+        # One of both offsets was free, before the play or behind it.
         offset_sigma=max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
         scale_sigma=_least_share_sigma(case, fit, case.nominal.model.measured),
         passed=passed,

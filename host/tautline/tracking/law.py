@@ -129,7 +129,7 @@ class LawFamily:
         their weights, of sum 1. A single play is split into _LOTS equal elements, whose spread can grow."""
         elements = self.model.elements
         if elements.single:
-            away = (2.0 * np.arange(_LOTS) - _LOTS + 1) / _LOTS
+            away = (2.0 * np.arange(_LOTS) - _LOTS + 1) / _LOTS  # even lots of -1 .. 1: their middles
             return np.ones(_LOTS), away, np.full(_LOTS, 1.0 / _LOTS)
         share = np.array(elements.width)
         return share, share - 1.0, np.array(elements.weight)

@@ -47,6 +47,7 @@ class Projection:
     def image(self, c_deg: float, translation: float, rotation: float) -> tuple[float, float]:
         """The marker's place (u, v), px, at the bending angle c_deg, with the other two axes at `translation` (mm) and
         `rotation` (deg)."""
+        # {}: no effects.
         px = _native.see({}, self._rig, np.array([c_deg]), np.array([translation]), np.array([rotation]))
         return float(px[0, 0]), float(px[0, 1])
 

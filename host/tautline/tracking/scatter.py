@@ -38,6 +38,7 @@ class Scatter:
             self._new = 0
             count = len(self._squares)
             squares = count * spread.deviation_of_squares(np.array(self._squares)) ** 2 if count else 0.0
+            # The mean square, with the prior's frames at 1.
             self.ratio = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))
 
 

@@ -46,7 +46,7 @@ class Strokes:
             return True
         return False
 
-    def begin_of(self, stroke: int, otherwise: int) -> int:
+    def first_entry_of(self, stroke: int, otherwise: int) -> int:
         """The first entry of a stroke, or of the first kept one after it; `otherwise` where there is none."""
         return next((entry for number, entry in self._begins if number >= stroke), otherwise)
 

@@ -98,7 +98,7 @@ class LawTracker:
                 "a model that begins with a simulator is over its tip, not the motor: calibrate, track that"
             )
         self.model, self.sensor = model, sensor
-        self._unseen = self.nominal = LawFamily(Beyond.unseen(model))
+        self._unseen = self.nominal = LawFamily(Beyond.prior(model))
         self.projection = Projection(model, sensor)
         low, high = model.measured
         inside = (model.q >= low) & (model.q <= high)
@@ -107,15 +107,18 @@ class LawTracker:
         self._width = max(float(np.mean(width)), _LEAST_COUNTS * model.rig.actuator.encoder_resolution)
         sigma = np.minimum(model.width_sigma[inside] if inside.any() else model.width_sigma, _UNKNOWN * self._width)
         # The calibration's own sigmas of the offset, unit of q (half of B's), and of the scale.
-        self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
+        self._calibration_sigmas = (
+            0.5 * float(np.sqrt(np.mean(sigma**2))),
+            float(np.sqrt(np.mean(sigma**2))) / self._width,
+        )
         count = model.rig.actuator.encoder_resolution
-        self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._noise(), count))
+        self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._frame_sigma(), count))
         self._path = CausalPath()
         self.recording = -1
         self.state, self.reason = State.TRUSTED, ""
         self.changes: list[Change] = []
         self._arrival_s = 0.0
-        self._theta, self._sigma = calibrated_theta(), self._own
+        self._theta, self._sigma = calibrated_theta(), self._calibration_sigmas
         self._law = self._calibrated = self.nominal.law(self._theta)
         self._passes = Passes(model, self._width)
         self._offset = 0.0
@@ -161,7 +164,7 @@ class LawTracker:
         self._strange, self._common_error = 0, CommonError()
         self._offset_before = self._offset
 
-    def _noise(self) -> float:
+    def _frame_sigma(self) -> float:
         """Standard deviation of one frame's centre coordinate in the middle of the measured range by the sensor's
         noise, unit of q; 0 where the image does not show the tip move there."""
         middle = 0.5 * (self.model.measured[0] + self.model.measured[1])
@@ -482,7 +485,7 @@ class LawTracker:
 
     def _strokes_ago(self, count: int) -> int:
         """The number of the first entry of the stroke that was so many strokes before the present one."""
-        return self._strokes.begin_of(self._strokes.number - count, self._window.end)
+        return self._strokes.first_entry_of(self._strokes.number - count, self._window.end)
 
     def _act_on(self, verdict: Inference) -> None:
         """Draws the consequences of a verdict. If it names a law, and the tip was not disturbed lately, the law is
@@ -519,7 +522,7 @@ class LawTracker:
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
         if narrow is not None and narrow.share < self._taken_up.scale:
             self._taken_up.dial_down(narrow.share)
-            self._sigma = (self._sigma[0], float(np.hypot(self._own[1], narrow.sigma)))
+            self._sigma = (self._sigma[0], float(np.hypot(self._calibration_sigmas[1], narrow.sigma)))
             self.reason = self._taken_up.why_dialled
 
     def _adopt(self, verdict: Inference) -> None:
@@ -537,8 +540,8 @@ class LawTracker:
             self.nominal = verdict.nominal
         self._use_law(verdict.theta)
         self._sigma = (
-            float(np.hypot(self._own[0], verdict.offset_sigma)),
-            float(np.hypot(self._own[1], verdict.scale_sigma)),
+            float(np.hypot(self._calibration_sigmas[0], verdict.offset_sigma)),
+            float(np.hypot(self._calibration_sigmas[1], verdict.scale_sigma)),
         )
         evidence = self._window.evidence_since(anchor)  # frames came since the verdict's
         assert evidence is not None

@@ -115,7 +115,7 @@ class _Keyframe:
         self._tried, self._met = np.zeros((2, len(self.corners)))
 
     @classmethod
-    def of(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
+    def from_picture(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
         """Makes a keyframe of the region as a picture shows it at this pose. It keeps a part of the picture that holds
         the region however it is turned (1.5 sides), and a margin."""
         long = int(1.5 * side_px + 2.0 * _MARGIN_PX)
@@ -194,7 +194,7 @@ class PatchTracker:
         height, width = picture.shape[:2]
         check_in_picture(at, width, height)
         self.side_px, self._shape = side_px, picture.shape[:2]
-        self._first = _Keyframe.of(EvenLight(picture), Pose(*at), side_px)
+        self._first = _Keyframe.from_picture(EvenLight(picture), Pose(*at), side_px)
         if len(self._first.corners) < _FEWEST:
             raise TautError(
                 f"around {at[0]:g}, {at[1]:g} px there is hardly anything to follow: show a place with structure, or a "
@@ -256,7 +256,7 @@ class PatchTracker:
         nearest = int(np.argmin(away))
         fades = away[nearest] > _LEAST and self._keyframes.keys[nearest].together < _FADES
         if self._keyframes.has_room and (away[nearest] > 1.0 or fades):
-            self._keyframes.keys.append(_Keyframe.of(light, mean, self.side_px))
+            self._keyframes.keys.append(_Keyframe.from_picture(light, mean, self.side_px))
         total = sum(weight for weight, _, _ in found)
         return mean, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, (_, sigma) in found)))
 
