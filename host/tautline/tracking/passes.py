@@ -107,39 +107,52 @@ class Passes:
 
     def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
         """The least share of the calibrated B at the places where the tip is clearly ahead of the law in use (theta) on
-        its last passes both ways since the entry `since`; an offset would put it behind on one of them. Means over
-        _WINDOW cells tell it, in which the marker is on its track. level: rms of residuals over sigma that the law
-        leaves. None where it is ahead nowhere, or by less than _LEAST of B."""
-        if law is not self._law:
-            self._law = law
-            self._by_law = law.place(self._model.remaining(self.place))
-            self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
-        # On the law's envelope way (q + offset - by_law) = B/2, so that _LATE = way (q - place) = B/2 + way shift.
-        half, shift = self._half, self._by_law - self.place - theta[OFFSET]
-        late = self._passes[:, _LATE] - half  # (2, places) on either way: below 0 the tip is ahead of the envelope
-        late[0] -= shift
-        late[1] += shift
-        late[self._passes[:, _ENTRY] < since] = np.nan
+        its last passes both ways since the entry `since`; an offset would put it behind on one of them. level: rms of
+        residuals over sigma that the law leaves. None where it is ahead nowhere, or by less than the share _LEAST of
+        the law's B."""
+        late = self._lateness(law, theta, since)
         sigma = level * self._passes[:, _SIGMA]
-        length = _WINDOW * self._cell
-        mean = _window_means(late)
-        if not (mean < 0.0).all(0).any():
-            return None
-        # Standard deviation of a window's mean, by as many frames as were on its cells.
-        off = _window_means(sigma) * np.minimum(np.sqrt(_window_means(self._passes[:, _SPACING]) / length), 1.0)
-        on_track = _window_means(self._passes[:, _OFF_SQUARE]) < (_OFF * level) ** 2
-        first = np.flatnonzero((on_track & (mean < -SURE * off)).all(0))  # windows, by their first cells
+        first = self._windows_ahead(late, sigma, level)
         if len(first) == 0:
             return None
-        share = 2.0 * (late.max(0) + half) / self._b  # of B, by the pass that is less ahead
+        share = 2.0 * (late.max(0) + self._half) / self._b  # of B, by the pass that is less ahead
         inside = np.zeros(len(share), dtype=bool)  # whether a cell is in any of these windows
         for i in range(_WINDOW):
             inside[first + i] = True
         at = int(np.argmin(np.where(inside, share, np.inf)))
         least = max(float(share[at]), 0.0)
-        if least > (1.0 - _LEAST) * 2.0 * half[at] / self._b[at]:
+        if least > (1.0 - _LEAST) * 2.0 * self._half[at] / self._b[at]:
             return None
         return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]))
+
+    def _lateness(self, law: Law, theta: Array, since: int) -> Array:
+        """(2, places) By how much the motor was farther ahead of the tip than a law (theta) has it on its envelopes,
+        unit of q, on the last pass of each place on either way: below 0 the tip is ahead of the law. NaN where it did
+        not pass since the entry `since`. The places by the law are kept for the next question about it."""
+        if law is not self._law:
+            self._law = law
+            self._by_law = law.place(self._model.remaining(self.place))
+            self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
+        # On the law's envelope way (q + offset - by_law) = B/2, so that _LATE = way (q - place) = B/2 + way shift.
+        shift = self._by_law - self.place - theta[OFFSET]
+        late = self._passes[:, _LATE] - self._half
+        late[0] -= shift
+        late[1] += shift
+        late[self._passes[:, _ENTRY] < since] = np.nan
+        return late
+
+    def _windows_ahead(self, late: Array, sigma: Array, level: float) -> npt.NDArray[np.intp]:
+        """Indices of the windows, _WINDOW cells from that index on, over which the tip was clearly ahead of the law in
+        the mean on both ways, and the marker on its track. late, sigma (2, places): from `_lateness`, and its standard
+        deviation, unit of q; level: rms of residuals over sigma that the law leaves."""
+        mean = _window_means(late)
+        if not (mean < 0.0).all(0).any():
+            return np.empty(0, dtype=np.intp)
+        # Standard deviation of a window's mean, by as many frames as were on its cells.
+        length = _WINDOW * self._cell
+        off = _window_means(sigma) * np.minimum(np.sqrt(_window_means(self._passes[:, _SPACING]) / length), 1.0)
+        on_track = _window_means(self._passes[:, _OFF_SQUARE]) < (_OFF * level) ** 2
+        return np.flatnonzero((on_track & (mean < -SURE * off)).all(0))
 
 
 def _window_means(rows: Array) -> Array:

@@ -300,6 +300,7 @@ class LawTracker:
         sigma = float(self.nominal.sigma(y, seen.sigma / law.slope(y)))
         loose = self._play.driven == 0.0  # nothing has carried the tip yet: it is where it is seen
         within = self._clipped_to_play(y) if loose else y
+        # Farther from the play than a play can be off: the recording begins at another posture, if it stays so.
         strange = abs(y - within) > _ELSEWHERE * self._width + SURE * sigma * self._level
         if strange and not self._disturbance.is_disturbed(self._arrival_s):
             self._strange += 1
@@ -312,10 +313,11 @@ class LawTracker:
         off = y - p
         if loose:
             off = self._off_while_loose(y, p, within)
-            if not strange:  # else the motor would carry it from there
+            if not strange:  # a tip out of the play would be carried from there at once
                 self._play.restart(y)
                 self._placed = True
         place = self._calibrated.place(seen.c_deg)
+        # travel: from the turn, such that the law is on its envelope from B on (`Passes.add`).
         q, travel = self._window.last_q, abs(self._window.last_q - self._strokes.turned_at) / self._law.most
         self._passes.add(q, float(place), sigma, seen.off, self._strokes.number, travel, self._window.end - 1)
         self._disturbance.add(q, seen, self._level, self._arrival_s)

@@ -258,6 +258,7 @@ class PatchTracker:
         if self._keyframes.has_room and (away[nearest] > 1.0 or fades):
             self._keyframes.keys.append(_Keyframe.from_picture(light, mean, self.side_px))
         total = sum(weight for weight, _, _ in found)
+        # Sigma of the weighted mean of independent poses.
         return mean, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, (_, sigma) in found)))
 
     def _search(self, light: EvenLight) -> tuple[Pose, float] | None:
