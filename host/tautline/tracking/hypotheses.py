@@ -171,10 +171,10 @@ def _calibrated_leaves_less(case: Case, fit: LawFit) -> bool:
 
 
 def _enough_evidence(case: Case, fit: LawFit, adapting: bool, foretold: bool) -> bool:
-    """Whether a fit may be used: it explains the evidence, and _TURNS reversals, or _RICHER_TURNS for each thing that
-    it has beyond offset and scale, agree. A law is explained more easily, by OF_BEFORE[1] of what is left without it,
-    while one is being learnt (`adapting`), or after _RICHER_TURNS reversals if the law proposed before foretold the
-    strokes since (`foretold`)."""
+    """Whether a fit may be used: it explains the evidence, and at least _TURNS reversals agree, _RICHER_TURNS for each
+    thing that it has beyond offset and scale. It is also enough that the fit leaves OF_BEFORE[1] of what other laws
+    leave (`is_explained_by`), while a law is being learnt (`adapting`), or after _RICHER_TURNS reversals if the law
+    that was proposed before foretold the strokes since (`foretold`)."""
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
     if case.turns >= least and case.is_explained_by(fit):
         return True

@@ -135,7 +135,7 @@ class Passes:
             self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
         # On the law's envelope way (q + offset - by_law) = B/2, so that _LATE = way (q - place) = B/2 + way shift.
         shift = self._by_law - self.place - theta[OFFSET]
-        late = self._passes[:, _LATE] - self._half
+        late: Array = self._passes[:, _LATE] - self._half
         late[0] -= shift
         late[1] += shift
         late[self._passes[:, _ENTRY] < since] = np.nan

@@ -1,8 +1,8 @@
 """Stays calibrated while the instrument is used: a causal, recursive estimate of what changed since the calibration.
 
-A row is predicted from the motor up to its scene time and the frames before it; then its own frame may be told. Which
-law is in use, is decided by hypotheses that are fitted to the frames since the last law stopped holding, a piece of
-work in each frame.
+A row is predicted from the motor up to its scene time and the frames before it; then its own frame may be shown. The
+law in use is chosen among hypotheses that are fitted to the frames since the last law stopped holding, a piece of work
+in each frame.
 """
 
 from __future__ import annotations

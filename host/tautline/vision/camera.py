@@ -153,7 +153,7 @@ class VideoCamera(Closable):
         return picture, arrival_s
 
     def _check_end(self) -> None:
-        """Raises TautError if the source is a device or a stream, of which no frame came: only a file may end."""
+        """Raises TautError, as no frame came, if the source is a device or a stream: only a file may end."""
         if not self._file:
             raise TautError(f"{self.name}: no more frames: check its cable or the stream's sender")
 
@@ -274,7 +274,7 @@ class _quiet_opencv:
     """A context in which OpenCV and FFmpeg print nothing to stderr: a TautError says in one line what failed."""
 
     def __enter__(self) -> None:
-        """Silences OpenCV and FFmpeg, the latter unless the environment says otherwise."""
+        """Silences OpenCV, and FFmpeg unless the environment says otherwise."""
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's "quiet"
         self._level = cv2.utils.logging.getLogLevel()
         cv2.utils.logging.setLogLevel(0)  # silent

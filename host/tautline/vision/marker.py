@@ -230,8 +230,8 @@ class MarkerTracker:
 
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     """Finds the marker's colour in BGR pictures of one scene that were taken some time apart: of the colours that stand
-    out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. If that is pale, as in
-    glare, against the one of median purity over all pictures, the latter is taken, provided that it finds the marker
+    out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. Where it is pale, as in
+    glare, beside the colour of median purity over all pictures, that colour is taken instead, if it finds the marker
     about as well. None where nothing stands out."""
     colours: list[MarkerColour] = []
     for picture in pictures[:: max(1, len(pictures) // _LOOKED_AT)][:_LOOKED_AT]:
