@@ -17,7 +17,7 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope, Look, load_background
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import MarkerColour, pick
-from tautline.vision.marker import MarkerTracker, find_colour, lit_by_place, track_video
+from tautline.vision.marker import MarkerTracker, find_colour, smooth_light_correction, track_video
 from tautline.vision.sighting import Sighting
 from tools.bench.endoscopy import CONDITIONS, World
 
@@ -346,7 +346,7 @@ def test_what_light_moves_is_told_by_all_frames_nearby_whichever_way_they_go() -
     lit = true + rng.normal(0.0, 0.03, true.shape)
     seen = [Sighting(u[k] + lit[k, 0], lit[k, 1], 0.02, 22.0, lit_px=(lit[k, 0], lit[k, 1])) for k in range(len(u))]
     sure = np.arange(len(u)) != 7
-    found = lit_by_place(seen, sure)
+    found = smooth_light_correction(seen, sure)
     error = np.array([place(sighting) for sighting in found])[sure] - (np.column_stack([u, 0 * u]) + true)[sure]
     assert np.sqrt(np.mean(error**2)) < 0.006
     assert np.abs(error[:399] - error[::-1][:399]).max() < 0.006

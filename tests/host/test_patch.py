@@ -173,7 +173,7 @@ def test_another_video_begins_where_the_place_is_found_turned() -> None:
 @pytest.mark.parametrize("turn", [-40.0, 15.0])
 def test_poses_follow_each_other(turn: float) -> None:
     one, other = Pose(10.0, 20.0, 1.1, 0.2), Pose(-4.0, 7.0, 0.9 * np.cos(turn), 0.9 * np.sin(turn))
-    same = one.then(one.to(other))
+    same = one.moved_by(one.motion_to(other))
     np.testing.assert_allclose([same.u, same.v, same.a, same.b], [other.u, other.v, other.a, other.b], atol=1e-12)
 
 

@@ -16,7 +16,7 @@ from tautline.simulated.instrument import Instrument, of_name
 from tautline.simulated.simulate import run
 from tautline.tracking import off_by, replay
 from tautline.tracking.beyond import CURVES, Beyond
-from tautline.tracking.law import LawFamily, unchanged
+from tautline.tracking.law import LawFamily, calibrated_theta
 from tautline.tracking.visit import Visit
 from tools.tracking.score import turns_of
 from tools.tracking.sessions import Instrument as Drawn
@@ -87,7 +87,7 @@ def test_what_remains_of_offsets_of_twenty_instruments_is_noise():
 def test_frames_one_by_one_tell_what_they_tell_together(seed, count):
     """It is the posterior of a linear model with normal noise, from normal equations that are written down here."""
     rng = np.random.default_rng(seed)
-    unseen = Beyond.unseen(ideal_model(Drawn(seed % 5)))
+    unseen = Beyond.prior(ideal_model(Drawn(seed % 5)))
     by, sigma = rng.normal(0.0, 0.3, (count, 2 * CURVES)), rng.uniform(0.05, 0.2, count)
     off = by @ (0.3 * np.sqrt(np.diag(unseen.covariance))) + rng.uniform(-1.0, 1.0, count) * sigma  # no outliers
     information = np.linalg.inv(unseen.covariance) + (by.T / sigma**2) @ by
@@ -103,7 +103,7 @@ def test_frames_one_by_one_tell_what_they_tell_together(seed, count):
 
 
 def test_an_outlier_tells_less():
-    unseen = Beyond.unseen(ideal_model(Drawn(1)))
+    unseen = Beyond.prior(ideal_model(Drawn(1)))
     by = unseen.curves(np.full(1, unseen.model.measured[1] + 0.3)).T
     by = np.hstack([by, np.zeros_like(by)])
     near, far = (unseen.updated(by, np.array([off]), np.array([0.01])).covariance[2, 2] for off in (0.01, 1e3))
@@ -115,14 +115,14 @@ def test_an_outlier_tells_less():
 def test_inside_the_measured_range_nothing_is_told_and_nothing_changes(seed):
     rng = np.random.default_rng(seed)
     model = ideal_model(Drawn(seed % 5))
-    family = LawFamily(Beyond.unseen(model))
+    family = LawFamily(Beyond.prior(model))
     (low, high), node = model.measured, np.diff(model.q).max()  # tables are straight from node to node
-    law, p = family.law(unchanged()), rng.uniform(low + node, high - node, 20)
+    law, p = family.law(calibrated_theta()), rng.uniform(low + node, high - node, 20)
     assert family.with_frames(family, law, p, np.zeros((20, CURVES)), law.angle(p) + 1.0, np.full(20, 0.01)) is family
     there = high + rng.uniform(0.05, 0.6, 5)
     by_width = family.beyond.curves(there).T * -0.5
     learnt = family.with_frames(family, law, there, by_width, law.angle(there) + 0.03, np.full(5, 0.003))
-    other = learnt.law(unchanged())
+    other = learnt.law(calibrated_theta())
     np.testing.assert_allclose(other.angle(p), law.angle(p), atol=1e-9)
     widths = (np.interp(p, each.grid, each.width) for each in (other, law))
     np.testing.assert_allclose(*widths, atol=1e-12)
@@ -136,14 +136,14 @@ def test_a_curve_that_would_turn_beyond_is_level_there_and_the_same_nearer(seed,
     model = ideal_model(Drawn(seed % 5))
     if falls:
         model = replace(model, c_deg=-model.c_deg)
-    unseen = Beyond.unseen(model)
+    unseen = Beyond.prior(model)
     (low, high), far = model.measured, turns * np.ptp(model.c_deg) / np.ptp(unseen.model.q) ** 2
     way = -1.0 if falls else 1.0
     for mean in ((0.0, 8.0 * far, 0.0, 0.0), (0.0, 0.0, 0.0, -8.0 * far)):
         bent = replace(unseen, mean=np.concatenate([way * np.array(mean), np.zeros(CURVES)]))
-        added = bent.model.c_deg + bent.mean[:CURVES] @ bent.on_grid
+        added = bent.model.c_deg + bent.mean[:CURVES] @ bent.curves_on_grid
         assert (way * np.diff(added) < 0.0).any()  # so it would turn
-        known = bent.known
+        known = bent.posterior_model
         inside = (known.q >= low) & (known.q <= high)
         np.testing.assert_allclose(known.c_deg[inside], bent.model.c_deg[inside], atol=1e-4)
         assert (way * np.diff(known.c_deg) > 0.0).all()
@@ -153,8 +153,8 @@ def test_a_curve_that_would_turn_beyond_is_level_there_and_the_same_nearer(seed,
 @given(st.integers(0, 10_000), st.floats(0.6, 1.5))
 def test_derivatives_by_what_is_added_to_the_width_are_those_of_differences(seed, scale):
     rng = np.random.default_rng(seed)
-    unseen = Beyond.unseen(ideal_model(Drawn(seed % 5)))
-    theta = unchanged()
+    unseen = Beyond.prior(ideal_model(Drawn(seed % 5)))
+    theta = calibrated_theta()
     theta[1] = scale
     corners = rng.uniform(-1.0, 1.0, 7) * np.where(np.arange(7) % 2, 5.6, -5.6)
     q = np.interp(np.linspace(0, 6, 400), np.arange(7), corners)
@@ -182,7 +182,7 @@ def test_a_model_that_was_measured_at_one_place_is_tracked():
 
 def test_a_long_stay_that_nobody_saw_costs_no_more():
     """Two thousand turns within the backlash while the marker is hidden."""
-    family = Beyond.unseen(calibrated(1))
+    family = Beyond.prior(calibrated(1))
     visit = Visit(LawFamily(family), None)
     for _ in range(2000):
         visit.move(np.array([0.1, -0.1]))

@@ -13,7 +13,7 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.camera import VideoFile
-from tautline.vision.marker import MarkerTracker, alike_but_still, find_colour, of_one_marker, track_video
+from tautline.vision.marker import MarkerTracker, find_colour, find_decoys, track_video, which_show_marker
 from tautline.vision.sighting import Sighting
 
 FRAMES = 80
@@ -66,10 +66,10 @@ def test_what_stays_is_told_from_what_moves() -> None:
     some = pictures(covered=False)[::4]
     colour = find_colour(some)
     assert colour is not None
-    (place,) = alike_but_still(colour, some)
+    (place,) = find_decoys(colour, some)
     assert np.hypot(*(place - TWIN)) < 2.0
-    assert alike_but_still(colour, pictures(covered=False, twin_moves=True)[::4]) == []
-    assert alike_but_still(colour, [some[0]] * 8) == []  # nothing moves: either may be it
+    assert find_decoys(colour, pictures(covered=False, twin_moves=True)[::4]) == []
+    assert find_decoys(colour, [some[0]] * 8) == []  # nothing moves: either may be it
 
 
 def test_the_blob_near_the_last_place_is_taken_after_a_loss() -> None:
@@ -93,16 +93,16 @@ def sighting(u: float, diameter: float = 20.0) -> Sighting:
 def test_a_stretch_that_cannot_be_reached_is_left_out(elsewhere: float) -> None:
     path = [sighting(150.0 + 2.0 * k) for k in range(60)]
     path[20:32] = [sighting(np.nan), *(sighting(elsewhere) for _ in range(10)), sighting(np.nan)]
-    valid = of_one_marker(path)
+    valid = which_show_marker(path)
     assert not valid[20:32].any() and valid[:20].all() and valid[32:].all()
     path = [sighting(elsewhere) for _ in range(9)] + path[9:20]
-    assert not of_one_marker(path)[:9].any()  # at the start as well
+    assert not which_show_marker(path)[:9].any()  # at the start as well
 
 
 def test_a_marker_that_went_on_while_it_was_hidden_is_the_marker() -> None:
     path = [sighting(150.0 + 2.0 * k) for k in range(60)]
     path[20:35] = [sighting(np.nan)] * 15
-    valid = of_one_marker(path)
+    valid = which_show_marker(path)
     assert valid.sum() == 45
 
 
@@ -110,13 +110,13 @@ def test_a_marker_of_which_a_part_is_hidden_is_left_out() -> None:
     path = [sighting(150.0 + 2.0 * k) for k in range(60)]
     path[30] = sighting(np.nan)
     path[29] = sighting(206.0, 18.0)
-    valid = of_one_marker(path)
+    valid = which_show_marker(path)
     assert not valid[29] and valid[31] and valid.sum() == 58
     path[40] = sighting(230.0, 18.0)  # nothing was lost there: light that changes
-    assert of_one_marker(path)[40]
+    assert which_show_marker(path)[40]
 
 
 def test_the_first_frame_is_not_beside_the_last() -> None:
     path = [sighting(150.0, 21.5), *(sighting(150.0 + 2.0 * k) for k in range(1, 60))]
     path[59] = sighting(np.nan)
-    assert of_one_marker(path)[0]
+    assert which_show_marker(path)[0]

@@ -1,5 +1,5 @@
-"""One stretch of evidence, looked at by the law in use and by the calibrated one: what is left, where the tip was, and
-what may stand in the way of any law."""
+"""One stretch of evidence, simulated by the law in use and by the calibrated one: what either leaves, where the tip
+was, and what may keep any law from explaining it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.tracking.disturbance import REST_COUNTS
-from tautline.tracking.fit import Envelopes, LawFit, Prior, Work, envelopes, simulated, trimmed
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, LawFamily, unchanged
+from tautline.tracking.fit import Envelopes, LawFit, Prior, Work, envelopes, simulated_residuals, trimmed_rms
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, LawFamily, calibrated_theta
 from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
@@ -36,7 +36,8 @@ EASY = 120  # tolerance: us, at most, of an easy look at a case
 
 @dataclass(frozen=True)
 class Case:
-    """One stretch of evidence, looked at with the law in use. z: residuals over their sigmas."""
+    """One stretch of evidence as the law in use and the calibrated one explain it. z: residuals over their sigmas.
+    Level: rms of z without outliers (`trimmed_rms`)."""
 
     nominal: LawFamily
     evidence: WindowKnots
@@ -50,79 +51,86 @@ class Case:
     z_calibrated: Array  # the same by the calibrated one
 
     @classmethod
-    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[Case]:
-        """Looks at this evidence by the law in use (theta) and by the calibrated one. origin, level: as the fields of
-        these names. A turn is seen where two frames after it show the tip at the play's end; the first stroke has none
-        before it. Yields each piece's cost beforehand, us."""
+    def from_evidence(
+        cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float
+    ) -> Work[Case]:
+        """Simulates this evidence by the law in use (theta) and by the calibrated one; looks for the frames on an
+        envelope of the play, the range that was passed both ways, and the turns. A turn counts if two frames of the
+        stroke after it are on an envelope; the first such stroke has none before it. origin, level: as the fields of
+        these names. Yields each piece's cost beforehand, us."""
         yield EASY + len(evidence.seen) // 10
         law = nominal.law(theta)
         envelope = envelopes(evidence, law)
         strokes, frames = np.unique(evidence.stroke[envelope.at], return_counts=True)
         turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
-        passed = envelope.both(evidence, law)
-        z = calibrated = (yield from simulated(nominal, evidence, theta, False))[0]
-        first = unchanged()
-        if not np.array_equal(theta, first):
-            calibrated = (yield from simulated(nominal, evidence, first, False))[0]
-        return cls(nominal, evidence, theta, origin, level, envelope, passed, turns, z, calibrated)
+        passed = envelope.range_both_ways(evidence, law)
+        z = z_calibrated = (yield from simulated_residuals(nominal, evidence, theta, False))[0]
+        if not np.array_equal(theta, calibrated_theta()):
+            z_calibrated = (yield from simulated_residuals(nominal, evidence, calibrated_theta(), False))[0]
+        return cls(nominal, evidence, theta, origin, level, envelope, passed, turns, z, z_calibrated)
 
     @property
-    def before(self) -> float:
-        """rms of the residuals over sigma by the law in use, without outliers."""
-        return trimmed(self.z)
+    def level_in_use(self) -> float:
+        """rms of the residuals over sigma that the law in use leaves, without outliers."""
+        return trimmed_rms(self.z)
 
-    def lately(self, z: Array) -> float:
+    def level_lately(self, z: Array) -> float:
         """rms of residuals over sigma z (seen,) in the last LATELY strokes alone, without outliers."""
-        return trimmed(z[self.evidence.stroke > self.evidence.stroke[-1] - LATELY])
+        return trimmed_rms(z[self.evidence.stroke > self.evidence.stroke[-1] - LATELY])
 
-    def explained(self, fit: LawFit, of_before: float | None = None) -> bool:
-        """Whether the residual of a fit, rms in sigmas, is no more than EXPLAINED times the known level, in all and
-        lately; or, with `of_before`, at most that share of what the law in use and the calibrated one leave, and lately
-        clearly less than either."""
-        if max(fit.level, self.lately(fit.z)) <= EXPLAINED * self.level:
+    def is_explained_by(self, fit: LawFit, of_before: float | None = None) -> bool:
+        """Whether a fit's level is at most EXPLAINED times the known one, over all strokes and over the last LATELY.
+        With `of_before`, a share, it is also enough that the fit's level is at most _FAR times the known one and at
+        most that share of the larger of those of the law in use and of the calibrated one, and over the last strokes at
+        most _LATELY_OF of the smaller of theirs."""
+        if max(fit.level, self.level_lately(fit.z)) <= EXPLAINED * self.level:
             return True
         if of_before is None or fit.level > _FAR * self.level:
             return False
-        if fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
+        if fit.level > of_before * max(self.level_in_use, trimmed_rms(self.z_calibrated)):
             return False
-        return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
+        lesser = min(self.level_lately(self.z), self.level_lately(self.z_calibrated))
+        return self.level_lately(fit.z) <= _LATELY_OF * lesser
 
-    def clear(self, fit: LawFit) -> bool:
-        """Whether a fit's residual is at most the share OF_BEFORE[0] of that of the law in use: it leaves next to
-        nothing."""
-        return fit.level <= OF_BEFORE[0] * self.before
+    def leaves_little(self, fit: LawFit) -> bool:
+        """Whether a fit's level is at most the share OF_BEFORE[0] of that of the law in use."""
+        return fit.level <= OF_BEFORE[0] * self.level_in_use
 
     def worth_adopting(self, z: Array, now: int, fit: LawFit) -> bool:
-        """Whether a law with residuals z lowers the mean square enough, in all or lately; and, unless the best `fit`
-        leaves next to nothing, on each of the last `now` strokes: a misfit that is over, as at a recording's begin,
-        counts no more."""
-        gain = max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2)
+        """Whether a law with residuals over sigma z (seen,) lowers the mean square by at least (_WORTH level)^2, over
+        all strokes or over the last LATELY; and, unless the best fit, `fit`, leaves little, also on each of the last
+        `now` strokes: a misfit that is over, as at a recording's begin, counts no more."""
+        gain = max(
+            trimmed_rms(self.z) ** 2 - trimmed_rms(z) ** 2, self.level_lately(self.z) ** 2 - self.level_lately(z) ** 2
+        )
         enough = (_WORTH * self.level) ** 2
-        return gain >= enough and (self.clear(fit) or self.less_on_each(z, now, enough))
+        return gain >= enough and (self.leaves_little(fit) or self.lowers_each_stroke(z, now, enough))
 
-    def better(self, fit: LawFit) -> bool:
-        """Whether a fit's residual is below _REFINES times that of the law in use, in all and lately."""
-        return max(fit.level / self.before, self.lately(fit.z) / self.lately(self.z)) < _REFINES
+    def improves(self, fit: LawFit) -> bool:
+        """Whether a fit's level is below _REFINES times that of the law in use, over all strokes and over the last
+        LATELY."""
+        return max(fit.level / self.level_in_use, self.level_lately(fit.z) / self.level_lately(self.z)) < _REFINES
 
-    def less_on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
-        """Whether a law with residuals over sigma z (seen,) lowers their mean square by `least` on each of the last
-        `count` strokes of STROKE_FRAMES frames or more."""
+    def lowers_each_stroke(self, z: Array, count: int, least: float = 0.0) -> bool:
+        """Whether a law with residuals over sigma z (seen,) leaves a mean square that is lower than that of the law in
+        use by `least` or more on each of the last `count` strokes that have STROKE_FRAMES frames or more."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
         parts = [self.evidence.stroke == k for k in strokes[frames >= STROKE_FRAMES][-count:]]
-        return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
+        return all(trimmed_rms(self.z[part]) ** 2 - trimmed_rms(z[part]) ** 2 >= least for part in parts)
 
     def prior(self) -> Prior:
-        """The prior of a fit: about the calibrated law, with offset and shape as they were before this evidence."""
-        mean = unchanged()
-        mean[OFFSET], mean[SHAPE] = self.origin[OFFSET], self.origin[SHAPE]  # places not seen again stay as they are
+        """The prior of a fit. Its mean is the calibrated law with the offset and the shape of B from before this
+        evidence, as places that are not seen again stay as they are."""
+        mean = calibrated_theta()
+        mean[OFFSET], mean[SHAPE] = self.origin[OFFSET], self.origin[SHAPE]
         span = self.nominal.model.rig.actuator.span
-        return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.places_known)
+        return Prior.about(mean, span, span * abs(self.nominal.tip_slope), self.places_known)
 
     @property
     def first_departure(self) -> int:
-        """Index of the first of three frames in a row that the law in use misses by _DEPARTS times the usual: frames
-        before it say nothing of a change. 0, all of them, where there is no such run or less than a stroke from it
-        on."""
+        """Index, among the frames seen, of the first of three in a row whose residual by the law in use is more than
+        _DEPARTS times the known level: frames before it say nothing of a change. 0, so that all frames count, where no
+        three are, or fewer than STROKE_FRAMES frames follow from there."""
         far = np.abs(self.z) > _DEPARTS * self.level
         run = far[:-2] & far[1:-1] & far[2:]
         first = int(run.argmax()) if run.any() else 0
@@ -130,8 +138,9 @@ class Case:
 
     @property
     def places_known(self) -> npt.NDArray[np.bool_]:
-        """(PLACES,) Whether the evidence tells the shape of B there: the tip was on either envelope, and somewhere on
-        both, which tells the offset from the width."""
+        """(PLACES,) Whether the evidence tells the shape of B at each place: whether it lies within the range in which
+        the tip was seen on an envelope. All False if the tip passed no place both ways, as offset and width are not
+        told apart then."""
         places = self.nominal.places
         if self.passed is None:
             return np.zeros(len(places), dtype=bool)
@@ -140,13 +149,14 @@ class Case:
         return passed
 
     def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
-        """(n,) Centre coordinates, unit of q, at which the law theta puts the tip. at: indices among the frames seen,
-        default all of them."""
+        """(n,) Centre coordinates, unit of q, at which the law of theta puts the tip that was seen. at: indices among
+        the frames seen, by default all of them."""
         return self.nominal.law(theta).place(self.evidence.c_deg[at])
 
 
 def changes_in_words(case: Case, theta: Array) -> str:
-    """The ids of the effects by which theta differs from the calibration, with their size, for messages."""
+    """The effects by which theta differs from the calibrated law, for messages: their ids with their sizes, joined by
+    "; ", or "the calibrated law" if there are none."""
     unit = case.nominal.model.rig.actuator.unit
     changes = []
     if np.any(theta[SHAPE]):
@@ -164,25 +174,25 @@ def changes_in_words(case: Case, theta: Array) -> str:
 
 
 def disturbance_in_words(case: Case) -> str:
-    """What moves the tip and is no play, in words: it leaves the marker's track, or moves while the motor rests; else
-    ""."""
+    """What moves the tip and is no play, in words: the marker leaves its track in the image, or the tip moves while the
+    motor rests. "" where neither is seen."""
     evidence = case.evidence
-    off = trimmed(evidence.off)
-    if off > max(_OFF_TRACK * case.level, _OFF_SHARE * case.before):
+    off = trimmed_rms(evidence.off)
+    if off > max(_OFF_TRACK * case.level, _OFF_SHARE * case.level_in_use):
         return "registration.shift or breathing: the marker leaves the track that the joint can give it"
     q = evidence.q[evidence.seen]
     count = case.nominal.model.rig.actuator.encoder_resolution
     rests = np.abs(np.diff(q)) <= REST_COUNTS * count
     if rests.sum() >= _REST_FRAMES:
         wander = np.diff(evidence.c_deg)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
-        if trimmed(np.sort(np.abs(wander))[:-1]) > _WANDERS * case.level:  # a change that comes at once is one of them
+        if trimmed_rms(np.sort(np.abs(wander))[:-1]) > _WANDERS * case.level:  # the largest may be a sudden change
             return "the tip moves while the motor rests: breathing or a hand on the shaft"
     return ""
 
 
 def likely_obstacle(case: Case) -> str:
-    """What may stand in the way where no law explains the tip, in words: in the last frames it hardly moved with the
-    motor, or it is far off in one part of its range alone; else that it is unknown."""
+    """What may be the cause, in words, where no law explains the tip: it hardly followed the motor in the last _LAST
+    frames, or it is far off in one end of its range alone. Else the words say that the cause is unknown."""
     evidence = case.evidence
     q, y = evidence.q[evidence.seen], case.places(case.theta)
     late = slice(-_LAST, None)

@@ -18,12 +18,12 @@ REST_COUNTS = 2.0  # prior: of the encoder: a motor that moved by no more betwee
 
 
 class Disturbance:
-    """Running mean squares, in standard deviations, of the tip's distance from its track in the image and of its motion
-    while the motor rests; and since when a judgement of the evidence saw none. resolution: of the encoder, unit of
-    q."""
+    """Watches two running mean squares, in standard deviations: of the tip's distance from its track in the image, and
+    of its motion while the motor rests. Remembers, too, when evidence was last judged to be disturbed. resolution: of
+    the encoder, unit of q."""
 
     def __init__(self, resolution: float) -> None:
-        """Begins without frames."""
+        """Begins without frames. resolution: of the encoder, unit of q."""
         self._resolution = resolution
         self.begin_recording()
 
@@ -36,10 +36,10 @@ class Disturbance:
         self._quiet_s = -np.inf  # when learning may go on
 
     def add(self, q: float, seen: AngleEstimate, level: float, arrival_s: float) -> None:
-        """Updates both running means by a frame. That of the tip's motion while the motor rests counts a frame before
-        which the motor moved by at most REST_COUNTS counts, and begins anew where the last such frame is _QUIET_S or
-        more ago. q: the motor's position at the frame, its unit; level: rms, in standard deviations, of the residuals
-        that the law is known to leave; arrival_s: when the frame arrived."""
+        """Updates both running means by a frame. The tip's motion counts only if the motor moved by at most REST_COUNTS
+        encoder counts since the frame before; its mean begins anew where the last such frame is _QUIET_S or more ago.
+        q: the motor's position at the frame, unit of q; seen: the angle that it shows; level: rms, in standard
+        deviations, of the residuals that the law is known to leave; arrival_s: when the frame arrived, s."""
         self._off_track += _OFF_PACE * ((seen.off / level) ** 2 - self._off_track)
         q_before, c_deg, sigma = self._before
         self._before = (q, seen.c_deg, seen.sigma * level)
@@ -55,11 +55,12 @@ class Disturbance:
         self._quiet_s = arrival_s + _QUIET_S
 
     def was_judged(self, arrival_s: float) -> bool:
-        """Whether evidence was judged to be disturbed less than _QUIET_S before this time, s."""
+        """Whether evidence was judged to be disturbed less than _QUIET_S before this time, s (`note_judgement`)."""
         return arrival_s < self._quiet_s
 
     def is_disturbed(self, arrival_s: float) -> bool:
-        """Whether something that is no play moves the tip, or was judged to less than _QUIET_S before this time, s."""
+        """Whether something that is no play moves the tip at this time, s: by either running mean, or because evidence
+        was judged to be disturbed less than _QUIET_S before."""
         wanders = self._wanders > _WANDERS and self._rested_lately(arrival_s)
         return self.was_judged(arrival_s) or self._off_track > _OFF_TRACK or wanders
 
@@ -69,22 +70,24 @@ class Disturbance:
         return arrival_s < self._rested_s + _QUIET_S
 
 
-class Aside:
-    """Whether the image jumped away from where a law that held puts the tip, as a tracker that follows another blob
-    does, and is back: what it showed meanwhile says nothing of the law."""
+class ImageJump:
+    """Notices when the image jumps away from where a law that held puts the tip, as with a marker tracker that follows
+    another blob, and when it is back. What it showed meanwhile says nothing of the law."""
 
     def __init__(self) -> None:
         """Begins without frames."""
         self.clear()
 
     def clear(self) -> None:
-        """Forgets the frame before, as at another recording or law: the next frame is no jump away from it."""
+        """Forgets the last frame, as at another recording or law: the next frame is no jump away from it."""
         self._before = (np.nan, np.nan)  # the last frame: motor, residual
         self._away, self._foretold = False, 0
 
     def add(self, q: float, off: float, sigma: float, trusted: bool) -> bool:
-        """Adds a frame. q: the motor's position; off: the frame's residual, sigma its standard deviation, all in the
-        unit of q; trusted: whether the law held until now. Returns whether the image is back with this frame."""
+        """Adds a frame; returns whether the image is back with it: after a jump, the _BACK-th frame in a row that the
+        law foretells. A jump is a change of the residual since the last frame, while the law held, by more than _JUMPS
+        sigma and AHEAD times the motor's way. q: the motor's position; off: the frame's residual; sigma: its standard
+        deviation, all in the unit of q; trusted: whether the law held until now."""
         q_before, off_before = self._before
         self._before = (q, off)
         if trusted and abs(off - off_before) > _JUMPS * sigma + AHEAD * abs(q - q_before):

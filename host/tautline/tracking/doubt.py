@@ -17,8 +17,9 @@ JUMP = 4.0  # prior: log odds against something that begins in a stroke: in one 
 
 @dataclass
 class Doubt:
-    """Page's sum over strokes, or their parts of MEMORY_S: in each the frames are noise, or the tip is elsewhere by
-    what is as likely of any size."""
+    """Page's cumulative sum of log odds that the law holds no more, over parts of the recording: strokes, or pieces of
+    MEMORY_S of them. In each part either the residuals are noise, or the tip is elsewhere, by a distance of which every
+    size is as likely."""
 
     since: int = 0  # the entry from which it is in doubt
     _odds: float = 0.0  # log odds by the parts before this one
@@ -34,10 +35,9 @@ class Doubt:
     @property
     def odds_of_part(self) -> float:
         """Log odds, by the frames of the present part alone, that the law changed: (x - _FREEDOM log(1 + x)) / 2 +
-        log(_SHARE / (1 - _SHARE)). x is by how much the sum of the frames' squared residuals (in standard deviations,
-        each cut at CAP), over _UNSURE, exceeds their number, and 0 at least. The first logarithm is the price of
-        _FREEDOM fitted numbers of any size, which say where the tip is instead; the second one is the prior. 0 without
-        frames."""
+        log(_SHARE / (1 - _SHARE)), with x = max(S / _UNSURE - n, 0). S: sum of the n frames' squared residuals, in
+        standard deviations, each cut at CAP. The first logarithm is the price of _FREEDOM fitted numbers that say where
+        the tip is instead; the second one is the prior. 0 without frames."""
         if not self._count:
             return 0.0
         beyond = max(self._squares / _UNSURE - self._count, 0.0)
@@ -45,13 +45,14 @@ class Doubt:
 
     @property
     def odds(self) -> float:
-        """Log odds that the law has not held since entry `since`: the sum over parts, kept at 0 or more, and the
-        present one."""
+        """Log odds that the law has not held since entry `since`: the sum over the parts before, which never falls
+        below 0, plus those of the present part, which may be negative."""
         return self._odds + self.odds_of_part
 
     def add(self, z: float, stroke: int, t_s: float, entry: int) -> None:
-        """Adds a frame whose residual is z standard deviations, in this stroke at t_s, s. entry: its number in the
-        window. A sum that falls to 0 begins anew with it."""
+        """Adds a frame with residual z, standard deviations, in this stroke at t_s, s. entry: its number in the window.
+        The first frame of a new part adds the odds of the part before to the sum; if the sum is 0 then, `since` becomes
+        this entry."""
         part = stroke, int(t_s / MEMORY_S)
         if part != self._part:
             self._odds = max(self._odds + self.odds_of_part, 0.0)

@@ -1,4 +1,4 @@
-"""What a stretch of evidence says of the law: a least-squares fit, one simulation at a time."""
+"""Fits of a law's parameters theta to a stretch of evidence by least squares, in pieces of work of known cost."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ _LINE_STEPS, _ON_LINE = 4, 1e-3  # tolerance: of a line's weights; of the places
 
 @dataclass(frozen=True)
 class Envelopes:
-    """Frames at which the tip was seen to move with the motor."""
+    """Frames at which the tip was seen to move with the motor: it was on an envelope of the play, p +- B(p)/2 = q."""
 
-    at: npt.NDArray[np.intp]  # among those seen
+    at: npt.NDArray[np.intp]  # indices among the frames seen
     way: Array  # +1 rising q, -1 falling
 
-    def both(self, evidence: WindowKnots, law: Law) -> tuple[float, float] | None:
-        """The range (low, high) of centre coordinates p, unit of q, in which frames were seen on the way up and on the
-        way down; None where these do not overlap, or one of them has fewer than three frames."""
+    def range_both_ways(self, evidence: WindowKnots, law: Law) -> tuple[float, float] | None:
+        """The range (low, high) of centre coordinates p, unit of q, in which frames on an envelope were seen on the way
+        up and on the way down; None where the two ranges do not overlap, or one has fewer than three frames."""
         y = law.place(evidence.c_deg[self.at])
         up, down = y[self.way > 0], y[self.way < 0]
         if len(up) < 3 or len(down) < 3:
@@ -54,8 +54,9 @@ class Envelopes:
 
 
 def envelopes(evidence: WindowKnots, law: Law) -> Envelopes:
-    """The frames at which the tip moved with the motor by about the law's slope, and so was on an envelope of the play;
-    the first of each run is left out, as an onset may lie in it."""
+    """Finds the frames at which the tip moved with the motor, and so was on an envelope of the play: since the frame
+    before, of the same stroke, the motor moved clearly, and the tip's centre coordinate by FOLLOWS to AHEAD times as
+    much. The first frame of each run is left out, as an onset may lie in it."""
     q, y = evidence.q[evidence.seen], law.place(evidence.c_deg)
     sigma = evidence.sigma / np.abs(law.slope(y))
     by_q, by_y = np.diff(q), np.diff(y)
@@ -71,37 +72,38 @@ def envelopes(evidence: WindowKnots, law: Law) -> Envelopes:
 
 @dataclass(frozen=True)
 class LawFit:
-    """A law fitted to evidence by least squares, `free` parameters of theta varying."""
+    """A law fitted to evidence: parameters of theta with the indices `free` were varied, the others kept."""
 
     evidence: WindowKnots
     theta: Array
     free: tuple[int, ...]
-    z: Array  # residuals over sigma of the frames seen
-    cost: float  # robust, priors included
+    z: Array  # (seen,) residuals over sigma
+    cost: float  # Huber's, with the prior's
     covariance: Array  # (free, free)
 
     @cached_property
     def level(self) -> float:
-        """rms of the residuals over sigma without the outliers' share: 1 where only the stated noise is left."""
-        return trimmed(self.z)
+        """rms of the residuals over sigma, without outliers (`trimmed_rms`): 1 where only the stated noise is left."""
+        return trimmed_rms(self.z)
 
     def spread_of(self, slopes: Array) -> float:
-        """Standard deviation of a quantity whose derivatives by theta are `slopes` (PARAMETERS,)."""
+        """Standard deviation of a quantity whose derivatives by theta are `slopes` (PARAMETERS,), by the fit's
+        covariance."""
         picked = slopes[list(self.free)]
         return float(np.sqrt(picked @ self.covariance @ picked))
 
     def sigma(self, parameter: int) -> float:
-        """Standard deviation of the parameter with this index in theta, its unit; 0 where it was not free."""
+        """Standard deviation of the parameter with this index in theta, in its unit; 0 where it was not free."""
         return float(np.sqrt(self.covariance[i, i])) if (i := _index(self.free, parameter)) >= 0 else 0.0
 
 
 def _index(free: Sequence[int], parameter: int) -> int:
-    """The place of a parameter among the free ones; -1 where it is not free."""
+    """The position of a parameter's index in `free`; -1 where it is not free."""
     return free.index(parameter) if parameter in free else -1
 
 
-def trimmed(z: Array) -> float:
-    """rms of residuals over sigma z (n,) without the share _WITHOUT that is largest; 0 where there are none."""
+def trimmed_rms(z: Array) -> float:
+    """rms of residuals over sigma z (n,) without the share _WITHOUT of them that is largest; 0 where there are none."""
     if len(z) == 0:
         return 0.0
     squares = np.sort(np.minimum(z * z, 1e12))  # tolerance: sums of them are finite
@@ -110,40 +112,44 @@ def trimmed(z: Array) -> float:
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent normal deviations from `mean`; the shape's are smooth besides, and fade where it was not seen."""
+    """The prior of theta in a fit: independent normal deviations from `mean` with standard deviations `sigma`. For the
+    shape of B, neighbouring places are tied to each other, too (`information`)."""
 
     mean: Array
     sigma: Array
-    known: npt.NDArray[np.bool_]  # (PLACES,) of the shape
+    known: npt.NDArray[np.bool_]  # (PLACES,) whether the evidence tells the shape there
 
     @classmethod
-    def of(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
-        """The prior about `mean`. span: the motor's range; span_deg: f_remain's over it; known (PLACES,): where both
-        envelopes tell the shape."""
-        sigma = np.full(PARAMETERS, 0.5)  # shares
+    def about(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
+        """The prior about `mean` (PARAMETERS,). span: the motor's range, unit of q; span_deg: how much f_remain changes
+        over it, deg; known (PLACES,): at which places the evidence tells the shape of B."""
+        sigma = np.full(PARAMETERS, 0.5)  # shares of B: of shape, spread and skew
         sigma[OFFSET], sigma[SCALE] = span, 2.0
         sigma[TIP] = span_deg, _BENT * span_deg, _BENT * span_deg
         return cls(mean, sigma, known)
 
     def information(self, free: Sequence[int]) -> Array:
-        """Precision matrix (free, free). Neighbouring places of the shape differ by _NEIGHBOURS; where one was not seen
-        it follows the nearer seen one with a decay of _FADES."""
-        whole = np.diag(1.0 / self.sigma**2)
-        bend = np.diff(np.eye(PLACES), axis=0) / _NEIGHBOURS
+        """Precision matrix (free, free) of the parameters with the indices `free`. Neighbouring places of the shape
+        differ by a standard deviation of _NEIGHBOURS. Where one of two is not known, the one that is farther from the
+        known places is _FADES times the nearer one, within _FADED."""
+        precision = np.diag(1.0 / self.sigma**2)
+        ties = np.diff(np.eye(PLACES), axis=0) / _NEIGHBOURS  # each row: of one place to the next, over its sigma
         for i in np.flatnonzero(~(self.known[1:] & self.known[:-1])):
             near, far = (i, i + 1) if self.known[: i + 1].any() else (i + 1, i)
-            bend[i] = 0.0
-            bend[i, [near, far]] = -_FADES / _FADED, 1.0 / _FADED
-        whole[SHAPE, SHAPE] += bend.T @ bend
-        part: Array = whole[np.ix_(free, free)]
-        return part
+            ties[i] = 0.0
+            ties[i, [near, far]] = -_FADES / _FADED, 1.0 / _FADED
+        precision[SHAPE, SHAPE] += ties.T @ ties
+        of_free: Array = precision[np.ix_(free, free)]
+        return of_free
 
 
-def simulated(
+def simulated_residuals(
     nominal: LawFamily, evidence: WindowKnots, theta: Array, with_slopes: bool = True
 ) -> Work[tuple[Array, Array]]:
-    """Residuals over sigma (seen,) of the centre coordinate, and their derivatives (seen, PARAMETERS) by theta, or (0,
-    PARAMETERS) without. Frames before every element was carried weigh less. Yields each piece's cost beforehand, us."""
+    """Simulates the evidence with theta; returns the residuals (seen,) of the centre coordinate, seen less predicted,
+    over their sigmas, and their derivatives (seen, PARAMETERS) by theta, or an empty array (0, PARAMETERS) without
+    slopes. Frames before the motor carried every element of the play weigh less. Yields each piece's cost beforehand,
+    us."""
     seen = evidence.seen
     yield 110 + len(seen) // 20
     law = nominal.law(theta)
@@ -158,38 +164,40 @@ def simulated(
     if not with_slopes:
         return z, np.empty((0, PARAMETERS))
     slopes = np.empty((len(y), PARAMETERS))
-    slopes[:, : TIP.start] = -by[0]
-    slopes[:, TIP] = -(nominal.powers(y) / by_y).T
+    slopes[:, : TIP.start] = -by[0]  # of -p: of the play's own parameters
+    slopes[:, TIP] = -(nominal.powers(y) / by_y).T  # of y: what is added to f_remain shifts y by that over its slope
     slopes *= scale[:, None]
     return z, slopes
 
 
 def _run_along_path(
-    native: Any, elements: int, evidence: WindowKnots, theta: Array, start: float, with_slopes: bool
+    play: Any, elements: int, evidence: WindowKnots, theta: Array, start: float, with_slopes: bool
 ) -> Work[list[tuple[Array, ...]]]:
-    """The native play's output along the motor's path in pieces, from the tip at `start`, unit of q: p, whether it
-    moves and, with slopes, dp/dtheta. Yields each piece's cost beforehand, us."""
+    """Runs a native play along the motor's path in pieces, from the tip at `start`, unit of q. Returns columns, each a
+    tuple of one array per piece: p (n,), unit of q; whether the motor carries it (n,); with slopes, the derivatives of
+    p (n, k), first by the offset. Yields each piece's cost beforehand, us."""
     state = _native.TrackState(start)
     q = evidence.q + theta[OFFSET]
     parts = []
     for first in range(0, len(q), _PIECE):
         part = q[first : first + _PIECE]
         yield 10 + (len(part) * (6 + 2 * elements) // 100 if with_slopes else len(part) // 12)
-        parts.append(native.run(state, part, with_slopes))
+        parts.append(play.run(state, part, with_slopes))
     return list(zip(*parts, strict=True))
 
 
 def _first_carried(nominal: LawFamily, evidence: WindowKnots, y: Array) -> int:
-    """Index of the first seen frame at which the motor has moved far enough to have carried every element; their number
-    where there is none. y (seen,): centre coordinates."""
+    """Index of the first of the frames seen at which the motor has gone so far that it has carried every element of the
+    play; the number of frames if it never has. y (seen,): centre coordinates, unit of q."""
     reach = REACH * float(np.interp(y[0], nominal.model.q, nominal.model.width))
     carried = np.abs(evidence.q - evidence.q[0]) > reach
     return int(np.searchsorted(evidence.seen, carried.argmax() if carried.any() else len(carried)))
 
 
 def learn_beyond(nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> Work[LawFamily]:
-    """The family with what these frames tell beyond the measured range, theta's law holding everywhere; as it was where
-    none lies there. level: rms of residuals over sigma. Yields each piece's cost beforehand, us."""
+    """Returns the family with what these frames tell of f_remain and B beyond the measured range, where theta's law is
+    taken to hold everywhere; `nominal` itself where no frame lies there. level: rms of residuals over sigma that the
+    law leaves. Yields each piece's cost beforehand, us."""
     seen = evidence.seen
     yield 150 + len(seen) // 20
     law = nominal.law(theta)
@@ -200,45 +208,47 @@ def learn_beyond(nominal: LawFamily, evidence: WindowKnots, theta: Array, level:
     yield 300
     p, _, by = (np.concatenate(column)[seen] for column in parts)
     sigma = level * nominal.sigma(y, evidence.sigma / law.slope(y)) * np.abs(law.slope(y))
-    sure = slice(_first_carried(nominal, evidence, y), None)
-    return nominal.with_frames(nominal, law, p[sure], by[sure, 1:], evidence.c_deg[sure], sigma[sure])
+    carried = slice(_first_carried(nominal, evidence, y), None)  # before, where the elements are is not sure
+    by_width = by[carried, 1:]  # the first column is by the offset
+    return nominal.with_frames(nominal, law, p[carried], by_width, evidence.c_deg[carried], sigma[carried])
 
 
-def fitted(
+def fit_law(
     nominal: LawFamily, evidence: WindowKnots, start: Array, free: tuple[int, ...], prior: Prior
 ) -> Work[LawFit]:
-    """The law of least cost, parameters with the indices `free` varying, by Levenberg-Marquardt on Huber's cost with
-    the prior, which counts in units of the residuals' level^2: what no law explains bends none. Yields each piece's
-    cost beforehand, us."""
+    """Fits a law to evidence: varies the parameters with the indices `free` from `start` on, in at most _TURNS steps of
+    Levenberg and Marquardt, to minimise Huber's cost of the residuals plus the prior's. The prior's precision is
+    multiplied by the residuals' mean square (`_level2`), so that residuals that no law explains do not outweigh it.
+    Yields each piece's cost beforehand, us."""
     picked = list(free)
-    known = prior.information(picked)
+    of_prior = prior.information(picked)
     theta = nominal.clipped(start)
-    z, by = yield from simulated(nominal, evidence, theta)
-    information = known * _level2(z)
-    algebra = 70 + len(z) * (3 + len(free)) // 300
+    z, by = yield from simulated_residuals(nominal, evidence, theta)
+    information = of_prior * _level2(z)
+    algebra = 70 + len(z) * (3 + len(free)) // 300  # us
     yield algebra
     cost = _huber_cost(z, theta, prior, picked, information)
     damping = 1e-3  # tolerance: to begin with
     for _ in range(_TURNS):
         if not free:
             break
-        weight = OUTLYING / np.maximum(np.abs(z), OUTLYING)
+        weight = OUTLYING / np.maximum(np.abs(z), OUTLYING)  # Huber's: 1 up to OUTLYING standard deviations
         slopes = by[:, picked]
         away = (theta - prior.mean)[picked]
         normal = slopes.T @ (slopes * weight[:, None]) + information
-        force = -(slopes.T @ (z * weight)) - information @ away
+        descent = -(slopes.T @ (z * weight)) - information @ away  # the cost's gradient, negative
         damped = normal + damping * np.diag(np.diag(normal))
-        step = np.linalg.solve(damped, force)
+        step = np.linalg.solve(damped, descent)
         trial = theta.copy()
         trial[picked] += step
         trial = nominal.clipped(trial)
-        trial_z, trial_by = yield from simulated(nominal, evidence, trial)
+        trial_z, trial_by = yield from simulated_residuals(nominal, evidence, trial)
         yield algebra
         trial_cost = _huber_cost(trial_z, trial, prior, picked, information)
         if trial_cost < cost:
             gained = cost - trial_cost
             theta, z, by = trial, trial_z, trial_by
-            information = known * _level2(z)
+            information = of_prior * _level2(z)
             cost = _huber_cost(z, theta, prior, picked, information)
             damping *= 0.1  # tolerance: of Levenberg and Marquardt's steps
             if gained < _DONE:
@@ -252,12 +262,13 @@ def fitted(
 
 
 def _level2(z: Array) -> float:
-    """Square of the level of residuals over sigma z (n,), that of the noise at least."""
-    return max(1.0, trimmed(z)) ** 2
+    """Mean square of residuals over sigma z (n,) without outliers, but at least 1, that of the stated noise."""
+    return max(1.0, trimmed_rms(z)) ** 2
 
 
 def _huber_cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Array) -> float:
-    """Half the Huber cost of the residuals plus half the prior's quadratic form."""
+    """Half the Huber cost of residuals over sigma z (n,) plus half the prior's quadratic form of the free parameters'
+    deviations. information (free, free): the prior's precision."""
     size = np.abs(z)
     robust = np.where(size < OUTLYING, 0.5 * z * z, OUTLYING * (size - 0.5 * OUTLYING))
     away = (theta - prior.mean)[free]
@@ -267,38 +278,43 @@ def _huber_cost(z: Array, theta: Array, prior: Prior, free: list[int], informati
 def _covariance(
     nominal: LawFamily, evidence: WindowKnots, z: Array, slopes: Array, free: Sequence[int], information: Array
 ) -> Array:
-    """Covariance (free, free) of the free parameters' estimate, by residuals over sigma z (seen,) and their derivatives
-    by theta, slopes (seen, PARAMETERS): of the frames' own noise; of what the law leaves beyond that (`_misfit2`),
-    which is taken for one error of all frames on each side of the play (it most likely goes with place and side, so
-    that more frames make it no smaller); and of the prior, `information` in units of the residuals' squares."""
+    """Covariance (free, free) of the fitted parameters, A S A with A = (J^T J + information)^-1; J (seen, free) from
+    `slopes` (seen, PARAMETERS), the derivatives of the residuals over sigma z (seen,) by theta; information (free,
+    free): the prior's. S adds up three variances: of the frames' own noise; of what the law leaves beyond it
+    (`_misfit2`), taken for one error that all frames on one side of the play share, so that more frames make it no
+    smaller; of the prior, in units of the residuals' squares."""
     picked = slopes[:, list(free)]
     if not free:
         return np.zeros((0, 0))
-    told = picked.T @ picked
-    inverse = np.linalg.inv(told + information)
+    by_frames = picked.T @ picked
+    inverse = np.linalg.inv(by_frames + information)
     level2, noise2 = _level2(z), evidence.noise**2
-    misfit2 = _misfit2(nominal, evidence, level2, float(np.trace(inverse @ told)))
-    by_width = slopes[:, SCALE]
+    misfit2 = _misfit2(nominal, evidence, level2, float(np.trace(inverse @ by_frames)))
+    by_width = slopes[:, SCALE]  # its sign tells the side of the play
     sides = np.stack([picked[by_width > 0.0].sum(axis=0), picked[by_width < 0.0].sum(axis=0)])
-    spread = noise2 * told + misfit2 * (sides.T @ sides) + level2 * information
+    spread = noise2 * by_frames + misfit2 * (sides.T @ sides) + level2 * information
     return np.asarray(inverse @ spread @ inverse)
 
 
 def _misfit2(nominal: LawFamily, evidence: WindowKnots, level2: float, taken: float) -> float:
-    """Variance, over that stated of a frame, of what a law leaves beyond the frames' own noise. level2: mean square
-    that is left. A fit has made it small: it is over as many degrees of freedom as misfits have on such a way, one a
-    stroke and one each _ALIKE of the measured range, less those that the fit took (`taken`)."""
+    """Variance, in units of a frame's stated one, of what a law leaves beyond the frames' own noise: (level2 - noise^2)
+    n / (n - taken). level2: the mean square that is left, which the fit made small. n: in how many places misfits
+    differ, one for each stroke and one for each _ALIKE of the measured range on the motor's way; taken: degrees of
+    freedom that the fit used of them."""
     alike = _ALIKE * float(np.ptp(nominal.places))
-    values = len(evidence.strokes) + float(np.abs(np.diff(evidence.q)).sum()) / alike
-    return max(level2 - evidence.noise**2, 0.0) * values / max(values - taken, 1.0)
+    count = len(evidence.strokes) + float(np.abs(np.diff(evidence.q)).sum()) / alike
+    return max(level2 - evidence.noise**2, 0.0) * count / max(count - taken, 1.0)
 
 
-def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
-    """theta with the offset, and with `both` also the scale, as a start for a fit: a line is fitted to the frames on an
-    envelope, where way (q - y) = scale B/2 - way offset, by least absolute deviations, in which outliers count little
-    (iteratively reweighted least squares). y: centre coordinates by theta's law, unit of q. B is the calibrated one at
-    y + median(q - y), about where the motor was: another posture's offset is behind the play, so that the tip is seen
-    elsewhere and the play is where it was."""
+def start_from_envelopes(
+    nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool
+) -> Array:
+    """Returns theta with a start for a fit of the offset, with `both` of the scale, too, from the frames on an
+    envelope. There, way (q - y) = scale B/2 - way offset; the line is fitted by least absolute deviations, which
+    outliers move little (iteratively reweighted least squares). y: centre coordinates by theta's law, unit of q. B is
+    the calibrated one at y + median(q - y), about where the motor was: an offset of another posture is behind the play,
+    so that the tip is seen elsewhere while the play is where it was. theta is copied unchanged if no frame is on an
+    envelope."""
     theta = theta.copy()
     if len(envelope.at) == 0:
         return theta
@@ -322,7 +338,7 @@ def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, enve
 
 
 def with_offset_at_tip(nominal: LawFamily, theta: Array) -> Array:
-    """theta with its offset behind the play (a shift of f_remain) instead of before it."""
+    """Returns theta with its offset moved from before the play to behind it, where it is a shift of f_remain."""
     theta = theta.copy()
     theta[TIP.start] += theta[OFFSET] * nominal.tip_slope
     theta[OFFSET] = 0.0

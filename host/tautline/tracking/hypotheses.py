@@ -1,4 +1,8 @@
-"""Which change explains what is seen, and whether the evidence is enough to follow it."""
+"""Which change of the law explains what is seen, and whether the evidence is enough to follow it.
+
+Laws differ by offset, scale of B, shape of B, a gradual onset and a bent f_remain (`law.py`). Level: rms of the
+residuals over sigma, without outliers.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +32,14 @@ from tautline.tracking.fit import (
     LawFit,
     Prior,
     Work,
-    fitted,
-    from_envelopes,
+    fit_law,
     learn_beyond,
-    simulated,
-    trimmed,
+    simulated_residuals,
+    start_from_envelopes,
+    trimmed_rms,
     with_offset_at_tip,
 )
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, SPREAD, TIP, LawFamily, unchanged
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SPREAD, TIP, LawFamily, calibrated_theta
 from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
@@ -63,23 +67,23 @@ _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped h
 
 @dataclass(frozen=True)
 class Inference:
-    """`theta`: the law to use, None: as before. `proposal` is looked at again with the frames to come."""
+    """The verdict on a stretch of evidence. `theta`: the law to use from now on; None: the one in use stays."""
 
-    says: str
+    says: str  # why, for the user
     evidence: WindowKnots
     theta: Array | None = None
     offset_sigma: float = 0.0  # unit of q
     scale_sigma: float = 0.0  # share of B
     passed: tuple[float, float] = (0.0, 0.0)  # centre coordinates between which the tip went both ways, unit of q
     turns: int = 0  # reversals after which the tip was seen to move
-    level: float = 0.0  # rms of the residuals over sigma that it leaves
-    settled: bool = False  # it explains what is seen: it may be trusted, if enough reversals agree
+    level: float = 0.0  # rms of the residuals over sigma that this law leaves
+    settled: bool = False  # this law explains what is seen: it may be trusted, if enough reversals agree
     proposed: Array | None = None  # the theta to be tried on the strokes to come
-    disturbed: bool = False  # by something that is no play
+    disturbed: bool = False  # something that is no play moves the tip
     early: bool = False  # too little was seen to judge
-    narrower: bool = False  # and nothing else: from one reversal
-    refines: bool = False  # the law in use, for as long as no other explains what was seen since that was learnt
-    nominal: LawFamily | None = None  # with what was seen beyond the measured range by that law
+    narrower: bool = False  # theta has a narrower B and no other change, which one reversal may tell
+    refines: bool = False  # theta refines the law that is being learnt: its evidence goes on from where it began
+    nominal: LawFamily | None = None  # with what this law tells beyond the measured range; None: as before
 
     @property
     def proposal(self) -> Inference | None:
@@ -97,115 +101,125 @@ def judge(
     level: float,
     proposal: Inference | None,
 ) -> Work[Inference]:
-    """The first stretch of evidence that a law explains, else why none does. stretches: evidence, and the law before
-    anything was learnt of it. least_offset: where a recording has just begun, the least, unit of q, that one direction
-    alone may tell, else None. moved: another posture is being learnt, and any simple law that leaves less refines it.
-    level: rms of z that is known to be left. proposal: the law that was to foretell the strokes since."""
+    """Judges the stretches of evidence in order: returns the verdict on the first one that a law explains, else that on
+    the last one, which says why none does. stretches: one or more of evidence with the law before anything was learnt
+    of it. theta: the law in use; adapting: whether it is still being learnt; else, if it is the calibrated one,
+    evidence before its first departure does not count. least_offset: where a recording has just begun, the least
+    offset, unit of q, that one stroke alone may tell, else None. moved: another posture is being learnt, so that any
+    simple law that leaves less refines it. level: that the law in use is known to leave. proposal: an earlier verdict,
+    whose law is to foretell the strokes since. Yields each piece's cost beforehand, us."""
     verdict = None
     for evidence, origin in stretches:
-        case = yield from Case.of(nominal, evidence, theta, origin, level)
-        if not adapting and np.array_equal(theta, unchanged()) and (first := case.first_departure):
-            case = yield from Case.of(nominal, evidence.after(first), theta, origin, level)
-        verdict = yield from _judged(case, adapting, least_offset, moved, proposal)
+        case = yield from Case.from_evidence(nominal, evidence, theta, origin, level)
+        if not adapting and np.array_equal(theta, calibrated_theta()) and (first := case.first_departure):
+            case = yield from Case.from_evidence(nominal, evidence.after(first), theta, origin, level)
+        verdict = yield from _verdict_on_stretch(case, adapting, least_offset, moved, proposal)
         if verdict.theta is not None:
             refines = verdict.refines or (moved and evidence is not stretches[0][0])
-            further = None  # a narrower one keeps what is known beyond the range
+            learnt = None  # a law with a narrower B alone keeps what is known beyond the range
             if not verdict.narrower:
-                further = yield from learn_beyond(nominal, verdict.evidence, verdict.theta, level)
-            verdict = replace(verdict, nominal=further, refines=refines)
+                learnt = yield from learn_beyond(nominal, verdict.evidence, verdict.theta, level)
+            verdict = replace(verdict, nominal=learnt, refines=refines)
             break
     assert verdict is not None
     yield DECISION
     return verdict
 
 
-def _judged(
+def _verdict_on_stretch(
     case: Case, adapting: bool, least_offset: float | None, moved: bool, proposal: Inference | None
 ) -> Work[Inference]:
-    """`judge` for one stretch, the first of these that holds: disturbed; not seen both ways; the law in use still
-    holds; the calibrated one does again; no other leaves clearly less; enough evidence for the best fit; not enough yet
-    (`_judged_early`). Yields each piece's cost beforehand, us."""
+    """Judges one stretch (see `judge`). The first of these cases that holds decides: the tip is disturbed; it was not
+    seen both ways; the law in use still holds; the calibrated one does again; no other leaves clearly less; there is
+    enough evidence for the best fit; another posture's law is refined by it; there is not enough yet. Yields each
+    piece's cost beforehand, us."""
     yield EASY + len(case.z) // 15
     disturbed = disturbance_in_words(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)
     if case.passed is None:
         if least_offset is not None:
-            return (yield from _judged_by_offset(case, least_offset))
+            return (yield from _verdict_by_offset(case, least_offset))
         return Inference(_ONE_WAY, case.evidence, early=True)
-    if not adapting and case.lately(case.z) < _HOLDS * case.level:
+    if not adapting and case.level_lately(case.z) < _HOLDS * case.level:
         return Inference(_HELD, case.evidence, early=True)
-    fit = yield from _simplest_sufficient(case)
+    fit = yield from _simplest_sufficient_fit(case)
     yield _HARD
     if _calibrated_leaves_less(case, fit):
-        return _calibrated_holds(case)
+        return _verdict_calibrated_again(case)
     if not adapting and not case.worth_adopting(fit.z, _NOW, fit):
         return Inference(_NONE_BETTER, case.evidence, early=True)
     foretold = proposal is not None and (yield from _predicts_later_strokes(case, proposal))
     yield _HARD + len(case.z) // 8
     if _enough_evidence(case, fit, adapting, foretold):
-        return _adopting(case, fit)
-    if moved and not _richness(fit) and case.better(fit):
-        return replace(_adopting(case, fit), refines=True)
-    return (yield from _judged_early(case, fit, least_offset is not None))
+        return _verdict_to_adopt(case, fit)
+    if moved and not _richness(fit) and case.improves(fit):
+        return replace(_verdict_to_adopt(case, fit), refines=True)
+    return (yield from _verdict_before_enough(case, fit, least_offset is not None))
 
 
 def _calibrated_leaves_less(case: Case, fit: LawFit) -> bool:
-    """Whether in the last strokes the calibrated law leaves about as little as the best fit and clearly less than the
-    law in use (_AGAIN), and the tip was where both differ."""
-    if not case.turns or np.array_equal(case.theta, unchanged()) or not _tells_apart(case, lately=True):
+    """Whether the calibrated law, where another is in use, holds again in the last LATELY strokes: its level there is
+    at most EXPLAINED, or _AGAIN[0] times that of the best fit; the law in use has more than _AGAIN[1] times that level,
+    and no less on any of these strokes. The tip must have turned, and been where both laws differ."""
+    if not case.turns or np.array_equal(case.theta, calibrated_theta()) or not _tells_apart(case, lately=True):
         return False
-    lately = case.lately(case.z_calibrated)
-    good = max(EXPLAINED, _AGAIN[0] * case.lately(fit.z))
-    better = case.lately(case.z) > _AGAIN[1] * lately and case.less_on_each(case.z_calibrated, LATELY)
-    return lately <= good and better
+    calibrated = case.level_lately(case.z_calibrated)
+    enough = max(EXPLAINED, _AGAIN[0] * case.level_lately(fit.z))
+    less = case.level_lately(case.z) > _AGAIN[1] * calibrated and case.lowers_each_stroke(case.z_calibrated, LATELY)
+    return calibrated <= enough and less
 
 
 def _enough_evidence(case: Case, fit: LawFit, adapting: bool, foretold: bool) -> bool:
-    """Whether a fit may be used: enough reversals agree with it, more for a richer law, and it explains what is seen. A
-    law that foretold strokes, and one while another is being learnt (`adapting`), need explain less."""
+    """Whether a fit may be used: it explains the evidence, and at least _TURNS reversals agree, _RICHER_TURNS for each
+    thing that it has beyond offset and scale. It is also enough that the fit leaves OF_BEFORE[1] of what other laws
+    leave (`is_explained_by`), while a law is being learnt (`adapting`), or after _RICHER_TURNS reversals if the law
+    that was proposed before foretold the strokes since (`foretold`)."""
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
-    if case.turns >= least and case.explained(fit):
+    if case.turns >= least and case.is_explained_by(fit):
         return True
-    return (adapting or (case.turns >= _RICHER_TURNS and foretold)) and case.explained(fit, OF_BEFORE[1])
+    return (adapting or (case.turns >= _RICHER_TURNS and foretold)) and case.is_explained_by(fit, OF_BEFORE[1])
 
 
-def _judged_early(case: Case, fit: LawFit, begun_lately: bool) -> Work[Inference]:
-    """The verdict on the best fit where there is not enough evidence for it yet: a narrower B alone; at a recording's
-    beginning a fit that leaves next to nothing; else a proposal to look at again, if it explains anything."""
-    if case.explained(fit, OF_BEFORE[0]):
-        narrower = yield from _judged_by_width(case, fit)
+def _verdict_before_enough(case: Case, fit: LawFit, begun_lately: bool) -> Work[Inference]:
+    """Judges the best fit where there is not enough evidence for it yet. If it explains the evidence well, a narrower B
+    alone is taken at once; where a recording has just begun, so is a fit that leaves little. Else the fit is proposed
+    to be looked at again, if it explains anything."""
+    if case.is_explained_by(fit, OF_BEFORE[0]):
+        narrower = yield from _verdict_by_width(case, fit)
         if narrower is not None:
             return narrower
-        if begun_lately and case.clear(fit):
-            return _adopting(case, fit)
+        if begun_lately and case.leaves_little(fit):
+            return _verdict_to_adopt(case, fit)
         return Inference(
             f"{changes_in_words(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta
         )
     says = likely_obstacle(case)
-    return Inference(says, case.evidence, proposed=fit.theta if case.explained(fit, OF_BEFORE[1]) else None)
+    return Inference(says, case.evidence, proposed=fit.theta if case.is_explained_by(fit, OF_BEFORE[1]) else None)
 
 
-def _judged_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
-    """The verdict on a fit that too few reversals agree with, by its width alone: a narrower B is taken at once, if it
-    leaves less by itself. None where the fit tells of no clearly narrower B."""
+def _verdict_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
+    """Judges a fit that too few reversals agree with by its width alone. If B is clearly narrower than by the law in
+    use, that and nothing else is taken from the fit at once, provided that the fit leaves little, or the narrower B
+    alone leaves less; else the fit is only proposed. None where the fit does not tell a clearly narrower B."""
     shaped = SHAPE.start in fit.free
-    told = case.explained(fit) if shaped else SCALE in fit.free
-    learnt = _adopting(case, fit)
+    tells_width = case.is_explained_by(fit) if shaped else SCALE in fit.free
+    learnt = _verdict_to_adopt(case, fit)
+    # The least share of the calibrated B by the fit and by the law in use, and one over the other.
     now, before = (_least_share(case, theta, learnt.passed) for theta in (fit.theta, case.theta))
     share = now / before if before > 0.0 else 1.0
     sigma = _least_share_sigma(case, fit, learnt.passed)
-    if not (told and 1.0 - share > max(_NARROWER * sigma, _LEAST_NARROWER)):
+    if not (tells_width and 1.0 - share > max(_NARROWER * sigma, _LEAST_NARROWER)):
         return None
-    only = case.theta.copy()
-    only[SCALE] *= share
-    left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
-    if not case.clear(fit) and not case.worth_adopting(left, 1, fit):
+    narrowed = case.theta.copy()  # the law in use but for its scale
+    narrowed[SCALE] *= share
+    z = (yield from simulated_residuals(case.nominal, case.evidence, narrowed, False))[0]
+    if not case.leaves_little(fit) and not case.worth_adopting(z, 1, fit):
         return Inference(_NONE_BETTER, case.evidence, proposed=fit.theta)
     return Inference(
         f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
         case.evidence,
-        only,
+        narrowed,
         offset_sigma=learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
         scale_sigma=sigma,
         turns=case.turns,
@@ -215,54 +229,53 @@ def _judged_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
     )
 
 
-def _simplest_sufficient(case: Case) -> Work[LawFit]:
-    """The fit of the first law, tried from simple to rich, that leaves nothing to explain (`_nothing_left`); where none
-    does, of one that is worth its parameters. Where the law in use has a shape of B, that shape refined is first. Then
-    come offset and scale together: where they leave nothing, `_either_alone` sees whether one of them does, or whether
-    a gradual onset shows; else `_richer` adds one or two of a gradual onset, a shape of B and a bent f_remain. Offset
-    and scale start from the calibrated law, but from the scale and shape of the law in use where the frames do not tell
-    the two apart (`_tells_apart`): what was learnt of B elsewhere is kept."""
+def _simplest_sufficient_fit(case: Case) -> Work[LawFit]:
+    """Fits laws from simple to rich; returns the first fit that leaves nothing to explain (`_leaves_nothing`), else the
+    best one that is worth its parameters. If the law in use has a shape of B, that shape is refined first. Then come
+    offset and scale together: if they leave nothing, `_simpler_fit` tries less, else `_richer_fit` tries more. They
+    start from the calibrated law, but with the scale and shape of the law in use where the frames do not tell the two
+    laws apart (`_tells_apart`), so that what was learnt of B elsewhere is kept."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
     if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
         start = nominal.rescaled(case.theta, case.origin[SCALE])
-        refined = yield from fitted(nominal, evidence, start, _free_with_shape(case.theta), prior)
-        if _nothing_left(case, refined):
+        refined = yield from fit_law(nominal, evidence, start, _free_with_shape(case.theta), prior)
+        if _leaves_nothing(case, refined):
             return refined
     yield _GUESS
-    base = unchanged() if _tells_apart(case) else nominal.clipped(_width_alone(case.theta))
-    both, side = yield from _offset_and_scale(case, base, prior)
-    if _nothing_left(case, both):
-        return (yield from _either_alone(case, both, side, base, prior))
-    return (yield from _richer(case, both, prior))
+    base = calibrated_theta() if _tells_apart(case) else nominal.clipped(_with_width_alone(case.theta))
+    both, side = yield from _fit_offset_and_scale(case, base, prior)
+    if _leaves_nothing(case, both):
+        return (yield from _simpler_fit(case, both, side, base, prior))
+    return (yield from _richer_fit(case, both, prior))
 
 
-def _nothing_left(case: Case, fit: LawFit) -> bool:
-    """Whether a fit leaves nothing to explain: its residual, rms in sigmas, is at most _GOOD times the known level, in
-    all and lately."""
-    return max(fit.level, case.lately(fit.z)) <= _GOOD * case.level
+def _leaves_nothing(case: Case, fit: LawFit) -> bool:
+    """Whether a fit leaves nothing to explain: its level is at most _GOOD times the known one, over all strokes and
+    over the last LATELY."""
+    return max(fit.level, case.level_lately(fit.z)) <= _GOOD * case.level
 
 
-def _offset_and_scale(case: Case, base: Array, prior: Prior) -> Work[tuple[LawFit, int]]:
-    """The fit of offset and scale from the law `base`, and its index in BOTH: the offset is before the play, or behind
-    it where that lowers the cost by _GAIN. Where neither explains the evidence, a start from the law in use counts,
-    too."""
+def _fit_offset_and_scale(case: Case, base: Array, prior: Prior) -> Work[tuple[LawFit, int]]:
+    """Fits offset and scale, from the law `base`; returns the fit and its index in BOTH: 0, the offset is before the
+    play, or 1, it is behind it, if that lowers the cost by more than _GAIN. Where that fit does not explain the
+    evidence, one from the law in use is tried, too."""
     nominal, evidence = case.nominal, case.evidence
-    start = base if np.any(base[SHAPE]) else from_envelopes(nominal, evidence, base, case.envelopes, True)
-    before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
-    behind = yield from fitted(nominal, evidence, with_offset_at_tip(nominal, before.theta), BOTH[1], prior)
+    start = base if np.any(base[SHAPE]) else start_from_envelopes(nominal, evidence, base, case.envelopes, True)
+    before = yield from fit_law(nominal, evidence, start, BOTH[0], prior)
+    behind = yield from fit_law(nominal, evidence, with_offset_at_tip(nominal, before.theta), BOTH[1], prior)
     both, side = (before, 0) if before.cost <= behind.cost + _GAIN else (behind, 1)
-    if not case.explained(both):
-        kept = nominal.clipped(case.theta)
-        other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
+    if not case.is_explained_by(both):
+        in_use = nominal.clipped(case.theta)
+        other = yield from fit_law(nominal, evidence, in_use, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
     return both, side
 
 
-def _either_alone(case: Case, both: LawFit, side: int, base: Array, prior: Prior) -> Work[LawFit]:
-    """The simplest fit where offset and scale (`both`, of BOTH[side], from the law `base`) leave nothing to explain:
-    the one or the other alone, if that costs hardly more. But a gradual onset first: it is short and hardly shows in
-    the rms."""
+def _simpler_fit(case: Case, both: LawFit, side: int, base: Array, prior: Prior) -> Work[LawFit]:
+    """Returns the fit to use where offset and scale (`both`, of BOTH[side], from the law `base`) leave nothing to
+    explain: the offset alone or the scale alone, if that costs less than _GAIN more, else `both`. But with enough
+    reversals a gradual onset is tried first: it is short and hardly shows in the rms."""
     nominal, evidence = case.nominal, case.evidence
     if case.turns >= _RICHER_TURNS:
         gradual = yield from _fit_with_more(case, both, GRADUAL, prior)
@@ -270,18 +283,19 @@ def _either_alone(case: Case, both: LawFit, side: int, base: Array, prior: Prior
             return gradual
     simple = both.theta.copy()
     simple[SCALE] = base[SCALE]
-    offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
+    offset = yield from fit_law(nominal, evidence, simple, ONLY_OFFSET[side], prior)
     if offset.cost < both.cost + _GAIN:
         return offset
     simple = base.copy()
     simple[SCALE] = both.theta[SCALE]
-    scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
+    scale = yield from fit_law(nominal, evidence, simple, ONLY_SCALE, prior)
     return scale if scale.cost < both.cost + _GAIN else both
 
 
-def _richer(case: Case, both: LawFit, prior: Prior) -> Work[LawFit]:
-    """The fit where offset and scale (`both`) do not explain the evidence: with one of a gradual onset, a shape of B
-    and a bent f_remain, or with two, as far as the reversals allow and as each brings its gain; else `both`."""
+def _richer_fit(case: Case, both: LawFit, prior: Prior) -> Work[LawFit]:
+    """Returns the fit to use where offset and scale (`both`) do not explain the evidence: with one of a gradual onset,
+    a shape of B and a bent f_remain, or with more of them where many strokes are not explained by one. Each must bring
+    its gain (_GAIN_MORE), else `both` is returned. With _TURNS reversals only a shape is tried, with fewer nothing."""
     if case.turns < _TURNS:
         return both
     if case.turns < _RICHER_TURNS:  # enough for a narrower place, which is not waited for
@@ -300,80 +314,84 @@ def _richer(case: Case, both: LawFit, prior: Prior) -> Work[LawFit]:
 
 
 def _free_with_shape(theta: Array) -> tuple[int, ...]:
-    """Indices of the free parameters when a law with a shape is refined: its shape and what else it has."""
+    """Indices of the parameters that are free when a law with a shape of B is refined: the shape, and of the others,
+    but the scale, those that are not 0."""
     others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
     return tuple(sorted({*SHAPED, *others}))
 
 
 def _least_share(case: Case, theta: Array, passed: tuple[float, float]) -> float:
-    """The least ratio of a law's B to the calibrated one between two centre coordinates `passed`, unit of q; theta's
-    scale where no node of the table lies between."""
+    """The least ratio of the B of theta's law to the calibrated one between two centre coordinates `passed`, unit of q;
+    theta's scale where no node of the table lies between."""
     inside = (case.nominal.model.q >= passed[0]) & (case.nominal.model.q <= passed[1])
     shares = case.nominal.width_ratio(case.nominal.law(theta))[inside]
     return float(np.min(shares)) if len(shares) else float(theta[SCALE])
 
 
 def _richness(fit: LawFit) -> int:
-    """How many of these a law has beyond an offset and a scale: a gradual onset, a shape of B, a bent f_remain."""
+    """How many of these are free in a fit beyond offset and scale: a gradual onset, a shape of B, a bent f_remain."""
     return sum(more[-1] in fit.free for more in (GRADUAL, SHAPED, REMAINING))
 
 
 def _fit_with_more(case: Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Work[LawFit]:
-    """A fit with `more` parameters free, from an existing one; with a shape the scale stays, as the shape holds it."""
-    begin, free = fit.theta, {*fit.free, *more}
+    """Fits with the parameters of the indices `more` free, too, from an existing fit on. With a shape of B the scale is
+    not free, but the one from before the evidence, as the shape holds what it would."""
+    start, free = fit.theta, {*fit.free, *more}
     if SPREAD in more:
-        begin = case.nominal.gradual_start(begin)
+        start = case.nominal.gradual_start(start)
     if SHAPE.start in free:  # it holds what a scale would
-        begin, free = case.nominal.rescaled(begin, case.origin[SCALE]), free - {SCALE}
-    return (yield from fitted(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
+        start, free = case.nominal.rescaled(start, case.origin[SCALE]), free - {SCALE}
+    return (yield from fit_law(case.nominal, case.evidence, start, tuple(sorted(free)), prior))
 
 
 def _gain_of_richer(fit: LawFit, richer: LawFit) -> float:
-    """By how much a richer fit lowers the cost, over its residual variance, beyond what its additional parameters bring
-    by chance (2 each)."""
+    """By how much a richer fit lowers the cost, in units of its residual variance (1 at least), beyond what its
+    additional parameters bring by chance (2 each)."""
     return (fit.cost - richer.cost) / max(1.0, richer.level) ** 2 - 2.0 * (len(richer.free) - len(fit.free))
 
 
-def _judged_by_offset(case: Case, least: float) -> Work[Inference]:
-    """The verdict on a recording's first stroke: the offset of another posture, if it is larger than `least`, unit of
-    q, and explains a tip that follows the motor far enough; else too early."""
+def _verdict_by_offset(case: Case, least: float) -> Work[Inference]:
+    """Judges a recording's first stroke. Returns the verdict to use the offset of another posture, if it differs by
+    more than `least`, unit of q, explains the evidence, and the tip followed the motor far enough (_SHORT, _ALONG);
+    else that it is too early."""
     at = case.envelopes.at
     nominal = case.nominal
     y = case.places(case.theta, at)
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
         return Inference(_ONE_WAY, case.evidence, early=True)
     yield _GUESS
-    start = from_envelopes(nominal, case.evidence, case.theta, case.envelopes, False)
-    fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
-    other = yield from fitted(nominal, case.evidence, with_offset_at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
+    start = start_from_envelopes(nominal, case.evidence, case.theta, case.envelopes, False)
+    fit = yield from fit_law(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
+    other = yield from fit_law(nominal, case.evidence, with_offset_at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
     fit = fit if fit.cost <= other.cost + _GAIN else other
-    if case.explained(fit, OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
-        return _adopting(case, fit)
+    if case.is_explained_by(fit, OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
+        return _verdict_to_adopt(case, fit)
     return Inference(_ONE_WAY, case.evidence, early=True)
 
 
 def _predicts_later_strokes(case: Case, proposal: Inference) -> Work[bool]:
-    """Whether the law that was proposed before predicts what came since, two strokes at least: by EXPLAINED times the
-    known level, or clearly better than the law in use."""
+    """Whether the law that was proposed before predicts the frames since, of two strokes at least: with a level of at
+    most EXPLAINED times the known one, or OF_BEFORE[1] times that of the law in use."""
     evidence = case.evidence
     new = evidence.t_s > proposal.evidence.t_s[-1]
     if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
         return False
-    z = (yield from simulated(case.nominal, evidence, proposal.proposed, False))[0]
-    off, before = trimmed(z[new]), trimmed(case.z[new])
-    return off <= max(EXPLAINED * case.level, OF_BEFORE[1] * before)
+    z = (yield from simulated_residuals(case.nominal, evidence, proposal.proposed, False))[0]
+    proposed, in_use = trimmed_rms(z[new]), trimmed_rms(case.z[new])
+    return proposed <= max(EXPLAINED * case.level, OF_BEFORE[1] * in_use)
 
 
-def _width_alone(theta: Array) -> Array:
-    """The calibrated law with theta's scale and shape of B."""
-    kept = unchanged()
+def _with_width_alone(theta: Array) -> Array:
+    """Returns the calibrated law with theta's scale and shape of B."""
+    kept = calibrated_theta()
     kept[SCALE], kept[SHAPE] = theta[SCALE], theta[SHAPE]
     return kept
 
 
 def _tells_apart(case: Case, lately: bool = False) -> bool:
-    """Whether the frames on an envelope cover most of the places where the law in use has another B than the calibrated
-    one: elsewhere either holds. lately: of the last strokes alone. True for a law without a shape."""
+    """Whether the frames on an envelope were in most of the places where the law in use has another B than the
+    calibrated one: in other places either may hold. lately: only frames of the last LATELY strokes count. True for a
+    law without a shape, which differs everywhere."""
     if not np.any(case.theta[SHAPE]):
         return True
     at = case.envelopes.at
@@ -383,45 +401,49 @@ def _tells_apart(case: Case, lately: bool = False) -> bool:
         return False
     model, y = case.nominal.model, case.places(case.theta, at)
     low, high = case.nominal.places[0], case.nominal.places[-1]
-    off = np.abs(case.nominal.law(case.theta).width - model.width) * ((model.q >= low) & (model.q <= high))
+    # (nodes,) by how much both laws' B differ, in the measured range.
+    differs = np.abs(case.nominal.law(case.theta).width - model.width) * ((model.q >= low) & (model.q <= high))
     inside = (model.q >= y.min()) & (model.q <= y.max())
-    return bool(off[inside].sum() >= _TOLD_APART * off.sum())
+    return bool(differs[inside].sum() >= _TOLD_APART * differs.sum())
 
 
-def _calibrated_holds(case: Case) -> Inference:
-    """The verdict that the calibrated law holds again."""
+def _verdict_calibrated_again(case: Case) -> Inference:
+    """Returns the verdict that the calibrated law holds again."""
     return Inference(
         "the calibrated law holds again",
         case.evidence,
-        unchanged(),
+        calibrated_theta(),
         passed=case.passed or (0.0, 0.0),
         turns=case.turns,
-        level=case.lately(case.z_calibrated),
+        level=case.level_lately(case.z_calibrated),
         settled=True,
     )
 
 
-def _adopting(case: Case, fit: LawFit) -> Inference:
-    """The verdict to use a fit's law from now on."""
+def _verdict_to_adopt(case: Case, fit: LawFit) -> Inference:
+    """Returns the verdict to use a fit's law from now on."""
     assert case.evidence is fit.evidence
     y = case.places(fit.theta, case.envelopes.at)
-    passed = case.envelopes.both(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
+    both_ways = case.envelopes.range_both_ways(case.evidence, case.nominal.law(fit.theta))
+    passed = both_ways or (float(y.min()), float(y.max()))
     return Inference(
         changes_in_words(case, fit.theta),
         case.evidence,
         fit.theta,
+        # One of both offsets was free, before the play or behind it.
         offset_sigma=max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
         scale_sigma=_least_share_sigma(case, fit, case.nominal.model.measured),
         passed=passed,
         turns=case.turns,
         level=fit.level,
-        settled=case.explained(fit, OF_BEFORE[1]),
+        settled=case.is_explained_by(fit, OF_BEFORE[1]),
         proposed=fit.theta,
     )
 
 
 def _least_share_sigma(case: Case, fit: LawFit, between: tuple[float, float]) -> float:
-    """Standard deviation of `_least_share` of a fit's law between two centre coordinates: that at the place of it."""
+    """Standard deviation of the least ratio of B to the calibrated one (`_least_share`) by a fit, between two centre
+    coordinates, unit of q: that of the ratio at the place where it is least."""
     model = case.nominal.model
     inside = (model.q >= between[0]) & (model.q <= between[1])
     places = model.q[inside] if inside.any() else np.array(between)

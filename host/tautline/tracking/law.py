@@ -1,4 +1,7 @@
-"""What may have changed since the calibration, and the play that it makes of the model's."""
+"""What may have changed since the calibration (theta), and the play that a theta makes of the calibrated model.
+
+B: the play's width, unit of q, over its centre coordinate p; f_remain: the bending angle, deg, over p.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +33,10 @@ _KEPT = 8  # tolerance: laws that a family remembers
 _LEAST_GRADUAL, _GRADUAL = 0.1, 0.2  # tolerance: of an onset, from which its derivatives are taken
 
 
-def unchanged() -> Array:
-    """The calibrated law: theta (PARAMETERS,) of offset (unit of q, added to it), scale of B, its shape (further shares
-    of B at PLACES), spread of the elements' shares about their mean and its skew, and what is added to f_remain."""
+def calibrated_theta() -> Array:
+    """Returns theta (PARAMETERS,) of the calibrated law. Its parts: offset (unit of q, added to q), scale of B, shape
+    of B (further shares of it at PLACES places), spread of the play's elements' shares about their mean, skew of these,
+    and what is added to f_remain (deg, TIP). All are 0 but the scale, 1."""
     theta = np.zeros(PARAMETERS)
     theta[SCALE] = 1.0
     return theta
@@ -40,16 +44,16 @@ def unchanged() -> Array:
 
 @dataclass(frozen=True)
 class Law:
-    """The model by one theta: `native` runs the play, B is `width` and f_remain `c_deg` on `grid`. `followed` runs the
-    same play with derivatives by what is added to B beyond the measured range, instead of those by theta."""
+    """The model by one theta: `native` runs the play with derivatives by theta up to TIP; `followed` runs the same play
+    with derivatives by the offset and by what is added to B beyond the measured range."""
 
-    grid: Array
+    grid: Array  # (nodes,) centre coordinates, unit of q
     native: Any
     followed: Any
-    width: Array
-    c_deg: Array
-    elements: int = 1
-    most: float = 1.0  # share of B that the widest of them has
+    width: Array  # (nodes,) B, unit of q
+    c_deg: Array  # (nodes,) f_remain
+    elements: int = 1  # of the play
+    most: float = 1.0  # share of B that the widest element has
 
     def angle(self, p: npt.ArrayLike) -> Array:
         """f_remain, deg, at centre coordinates p, unit of q, of any shape."""
@@ -71,25 +75,27 @@ class Law:
 
 @dataclass(frozen=True)
 class LawFamily:
-    """The calibrated play, of which others are made, with what was seen of it beyond the measured range."""
+    """The calibrated play, with what was seen of it beyond the measured range; `law` makes a play of it by any
+    theta."""
 
     beyond: Beyond
-    _kept: dict[bytes, Law] = field(default_factory=dict, repr=False)
+    _laws_by_theta: dict[bytes, Law] = field(default_factory=dict, repr=False)
 
     @property
     def model(self) -> Model:
-        """As calibrated, on a grid that goes on beyond the actuator's range."""
+        """The model as calibrated, on a grid that goes on beyond the actuator's range."""
         return self.beyond.model
 
     def with_beyond(self, beyond: Beyond) -> LawFamily:
-        """The same family with another posterior beyond the measured range."""
+        """Returns the same family with another posterior beyond the measured range, on the same grid."""
         family = LawFamily(beyond)
-        family.__dict__["shape_basis"] = self.shape_basis  # they depend on the grid alone
+        family.__dict__["shape_basis"] = self.shape_basis  # the cached property: it depends on the grid alone
         return family
 
     @cached_property
     def shape_basis(self) -> Array:
-        """(PLACES, nodes) Cardinal natural cubic splines: 1 at one place, 0 at the others, constant beyond the ends."""
+        """(PLACES, nodes) Cardinal natural cubic splines on the grid: each is 1 at one of `places`, 0 at the others,
+        and constant beyond the first and the last."""
         places = self.places
         q = np.clip(self.model.q, places[0], places[-1])
         return np.ascontiguousarray(CubicSpline(places, np.eye(PLACES), bc_type="natural")(q).T)
@@ -100,8 +106,8 @@ class LawFamily:
         return np.linspace(*self.model.measured, PLACES)
 
     def powers(self, p: npt.ArrayLike) -> Array:
-        """(3, n) Basis of f_remain's change at p: constant, slope and bend over the measured range scaled to -1 .. 1,
-        held at +-2."""
+        """Basis (3, n) of f_remain's change at centre coordinates p (n,), unit of q: 1, x and x^2, where x is p scaled
+        so that the measured range is -1 .. 1, and held at +-2."""
         low, high = self.places[0], self.places[-1]
         along = np.clip((np.asarray(p) - 0.5 * (low + high)) / (0.5 * (high - low)), -2.0, 2.0)
         return np.stack([np.ones_like(along), along, along**2])
@@ -114,48 +120,48 @@ class LawFamily:
         return float((ends[1] - ends[0]) / (high - low))
 
     def offset(self, theta: Array) -> float:
-        """The law's whole offset, before and behind the play, unit of q."""
+        """The whole offset of theta, unit of q: before the play, and behind it, where it is a shift of f_remain."""
         return float(theta[OFFSET] + theta[TIP][0] / self.tip_slope)
 
     @cached_property
     def _elements(self) -> tuple[Array, Array, Array]:
-        """(elements,) each: the widths of the play's elements, in shares of B, what spread adds to them, and their
-        weights; a single play is split into _LOTS equal ones, whose spread can grow."""
+        """(elements,) each: the widths of the play's elements, in shares of B; what a spread of 1 adds to these; and
+        their weights, of sum 1. A single play is split into _LOTS equal elements, whose spread can grow."""
         elements = self.model.elements
         if elements.single:
-            away = (2.0 * np.arange(_LOTS) - _LOTS + 1) / _LOTS
+            away = (2.0 * np.arange(_LOTS) - _LOTS + 1) / _LOTS  # even lots of -1 .. 1: their middles
             return np.ones(_LOTS), away, np.full(_LOTS, 1.0 / _LOTS)
         share = np.array(elements.width)
         return share, share - 1.0, np.array(elements.weight)
 
     @cached_property
     def _by_spread_and_skew(self) -> Array:
-        """(2, elements) Derivatives of `shares` by theta's spread and skew. Both have the weighted mean 0, so that the
-        elements' mean share, and B with it, stays."""
+        """(2, elements) Derivatives of `shares` by theta's spread, e, and skew, e^2 less its mean. Both have the
+        weighted mean 0, so that the elements' mean share, and B with it, stays."""
         _, away, weight = self._elements  # away: of weighted mean 0
         return np.vstack([away, away**2 - weight @ away**2])
 
     @cached_property
     def _own_sigma(self) -> Array:
-        """(nodes,) Standard deviation of the calibrated centre coordinate, unit of q, by B's sigma, of which it has
-        half, as an envelope lies B/2 off the centre, and by the encoder's rounding."""
+        """(nodes,) Standard deviation, unit of q, of the calibrated law's centre coordinate: half that of B, as an
+        envelope lies B/2 off the centre, and the rounding of the encoder."""
         model, count = self.model, self.model.rig.actuator.encoder_resolution
         return np.asarray(np.hypot(0.5 * model.width_sigma, of_rounding(count)))
 
     def sigma(self, p: npt.ArrayLike, sensor: npt.ArrayLike) -> Array:
-        """Standard deviation, unit of q, of a frame's centre coordinate at p: the sensor's (`sensor`, the same unit)
-        and the calibrated law's own, which counts up to _MOST_OWN times the sensor's, so that what a calibration hardly
-        knew is learnt in use."""
+        """Standard deviation, unit of q, of a frame's centre coordinate at p: that of the sensor (`sensor`, unit of q)
+        and the calibrated law's own in quadrature. The own one counts up to _MOST_OWN times the sensor's, so that what
+        a calibration hardly knew is learnt in use."""
         own = np.interp(np.asarray(p, dtype=float), self.model.q, self._own_sigma)
         return np.asarray(np.hypot(sensor, np.minimum(own, _MOST_OWN * np.abs(sensor))))
 
     def shares(self, theta: Array) -> Array:
-        """(elements,) Their widths, in shares of B and not negative, by theta's spread and skew."""
+        """(elements,) The widths of the play's elements by theta's spread and skew, in shares of B, 0 at least."""
         spread, skew = self._by_spread_and_skew
         return np.asarray(np.maximum(self._elements[0] + theta[SPREAD] * spread + theta[SKEW] * skew, 0.0))
 
     def clipped(self, theta: Array) -> Array:
-        """theta with every parameter clipped to what a play can have."""
+        """Returns theta with every parameter within its limits for a play; offset and f_remain's change have none."""
         theta = theta.copy()
         theta[SCALE] = min(max(theta[SCALE], _LEAST_SCALE), _MOST_SCALE)
         theta[SHAPE] = np.clip(theta[SHAPE], _LEAST_SHAPE, _MOST_SHAPE)
@@ -165,20 +171,21 @@ class LawFamily:
         return theta
 
     def law(self, theta: Array) -> Law:
-        """The law with the parameters theta (PARAMETERS,), which are within their limits (`clipped`). The last few are
-        kept, as a fit asks for each several times."""
+        """The law with the parameters theta (PARAMETERS,), which must be within their limits (`clipped`). Laws are
+        kept, as a fit asks for each several times; all are forgotten once they are more than _KEPT."""
         key = theta.tobytes()
-        if key not in self._kept:
-            if len(self._kept) > _KEPT:
-                self._kept.clear()
-            self._kept[key] = self._law_of(theta)
-        return self._kept[key]
+        if key not in self._laws_by_theta:
+            if len(self._laws_by_theta) > _KEPT:
+                self._laws_by_theta.clear()
+            self._laws_by_theta[key] = self._law_of(theta)
+        return self._laws_by_theta[key]
 
     def _law_of(self, theta: Array) -> Law:
-        """`law`, made anew. Its play `native` gives dp/dtheta up to TIP, from by_width (1 + PLACES, nodes), dB by scale
-        and shape, and by_shares (2, elements), the elements' shares' derivatives by spread and skew, 0 for a single
-        play; `followed` gives dp by by_beyond (CURVES, nodes), dB by each curve beyond the measured range."""
-        model = self.beyond.known
+        """Makes the law of theta. Its play `native` gives dp by the offset, by scale and shape (through by_width (1 +
+        PLACES, nodes), dB by these), and by spread and skew (through by_shares (2, elements), derivatives of the
+        elements' shares, 0 for a single play). `followed` gives dp by the offset and through by_beyond (CURVES, nodes),
+        dB by each curve that is added beyond the measured range."""
+        model = self.beyond.posterior_model
         shape = 1.0 + theta[SHAPE] @ self.shape_basis
         width = allowed_width(model.q, theta[SCALE] * model.width * shape)
         by_width = np.vstack([model.width * shape, theta[SCALE] * model.width * self.shape_basis])
@@ -191,43 +198,45 @@ class LawFamily:
             shares, weight, by_shares = self.shares(theta), self._elements[2], self._by_spread_and_skew
             shares = shares / (weight @ shares)  # B stays the distance between full strokes
         native = _native.TrackModel(model.q, width, shares, weight, by_width, by_shares)
-        by_beyond, none = theta[SCALE] * shape * self.beyond.on_grid, np.empty((0, len(shares)))
+        by_beyond, none = theta[SCALE] * shape * self.beyond.curves_on_grid, np.empty((0, len(shares)))
         followed = _native.TrackModel(model.q, width, shares, weight, by_beyond, none)
         return Law(model.q, native, followed, width, c_deg, len(shares), float(shares.max()))
 
     def with_frames(
         self, about: LawFamily, law: Law, p: Array, by_width: Array, c_deg: Array, sigma: Array
     ) -> LawFamily:
-        """The family after n frames told something beyond the measured range. The tip is seen at c_deg (n,), deg, with
-        sigma (n,); `law`, of the family `about`, predicts p (n,), with derivatives by_width (n, CURVES) by what is
-        added to B. Frames that depend on nothing there do not count."""
-        by = np.hstack([self.beyond.curves(p).T, law.slope(p)[:, None] * by_width])
-        off = c_deg - law.angle(p) + by @ (about.beyond.mean - self.beyond.mean)
+        """Returns the family after n frames told something beyond the measured range; itself where none did. The tip is
+        seen at c_deg (n,), deg, with sigma (n,), deg; `law`, of the family `about`, predicts p (n,), unit of q, with
+        derivatives by_width (n, CURVES) by what is added to B. Frames that depend on nothing there do not count."""
+        by = np.hstack([self.beyond.curves(p).T, law.slope(p)[:, None] * by_width])  # of c by theta of `beyond`
+        # The prediction is linear about the mean of `about`: this is what is left by this family's own mean.
+        residual = c_deg - law.angle(p) + by @ (about.beyond.mean - self.beyond.mean)
         told = by.any(1)
-        return self.with_beyond(self.beyond.updated(by[told], off[told], sigma[told])) if told.any() else self
+        return self.with_beyond(self.beyond.updated(by[told], residual[told], sigma[told])) if told.any() else self
 
     def gradual_start(self, theta: Array) -> Array:
-        """theta with a small spread of the elements where there is none: its derivatives exist only with several
-        elements."""
+        """Returns theta as a start for a fit of a gradual onset. Of a single play a spread below _LEAST_GRADUAL becomes
+        _GRADUAL, as its derivatives exist only with several elements."""
         theta = theta.copy()
         if self.model.elements.single and theta[SPREAD] < _LEAST_GRADUAL:
             theta[SPREAD] = _GRADUAL
         return theta
 
     def rescaled(self, theta: Array, scale: float) -> Array:
-        """theta with this scale, its shape changed so that B stays the same."""
+        """Returns theta with this scale, and its shape changed so that B stays the same, both within their limits."""
         theta = theta.copy()
         theta[SHAPE] = (1.0 + theta[SHAPE]) * theta[SCALE] / scale - 1.0
         theta[SCALE] = scale
         return self.clipped(theta)
 
     def width_ratio(self, law: Law) -> Array:
-        """(nodes,) A law's B over the calibrated one; 1 where that is 0."""
+        """(nodes,) A law's B over the calibrated one; 1 where the calibrated one is 0."""
         width = self.model.width
         return np.asarray(np.divide(law.width, width, out=np.ones(len(width)), where=width > 0.0))
 
     def ratio_slopes(self, theta: Array, p: Array) -> Array:
-        """(PARAMETERS,) Derivatives by theta of the mean ratio of B to the calibrated one over the places p."""
+        """(PARAMETERS,) Derivatives by theta of the ratio of B to the calibrated one, its mean over the centre
+        coordinates p (n,), unit of q."""
         at = np.array([np.interp(p, self.model.q, wave).mean() for wave in self.shape_basis])
         slopes = np.zeros(PARAMETERS)
         slopes[SCALE] = 1.0 + theta[SHAPE] @ at

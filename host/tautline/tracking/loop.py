@@ -22,20 +22,21 @@ class Tracker:
     """
 
     def __init__(self, model: Model, sensor: Sensor | None = None) -> None:
-        """sensor: MARKER or ANGLE, by default what was calibrated with. TautError where the rig has no camera for
-        it."""
+        """Begins the first recording. sensor: MARKER or ANGLE, by default the one that the model was calibrated with.
+        TautError where the rig has no camera for a marker."""
         self.model, self.sensor = model, sensor or model.sensor
         self._laws = LawTracker(model, self.sensor)
         self._delay_s = model.delay_of(self.sensor)
         self.begin()
 
     def begin(self) -> None:
-        """Another recording: its clock and where the tip is may be others, what was learnt stays."""
+        """Begins another recording, whose clock and place of the tip may be others. What was learnt stays; samples of
+        the motor that were not used yet are dropped."""
         self._laws.begin()
         self._frame_s = -np.inf  # the last frame's arrival
-        self._t_s = np.empty(0)  # of samples; those after the last frame wait for the next one
-        self._moved = np.empty((0, 3))  # q, translation, rotation
-        self._taken = 0  # of them
+        self._t_s = np.empty(0)  # (n,) of samples; those after the last frame wait for the next one
+        self._moved = np.empty((0, 3))  # (n, 3) their q, translation, mm, and rotation, deg
+        self._taken = 0  # how many of them were handed over
 
     def motor(
         self,
@@ -45,8 +46,9 @@ class Tracker:
         rotation_deg: npt.ArrayLike | None = None,
         load_mNm: npt.ArrayLike | None = None,
     ) -> None:
-        """Samples (n,) or one, in order of time; q in the rig's unit, what is None at rest; the load is not used.
-        TautError for times that do not rise, or values that are not finite."""
+        """Takes samples of the motor, n or one of them, in order of time: t_s, s; q in the rig's unit; translation and
+        rotation, at rest (0) where they are None; load_mNm is not used. They are kept until a frame asks for them
+        (`see`). TautError for columns of different lengths, times that do not rise, or values that are not finite."""
         times = np.atleast_1d(np.asarray(t_s, dtype=float))
         columns = [times, np.atleast_1d(np.asarray(q, dtype=float))]
         for values in (translation_mm, rotation_deg, load_mNm):
@@ -55,15 +57,16 @@ class Tracker:
             raise TautError("the motor's samples and their times differ in number")
         if not (np.diff(times, prepend=self._t_s[-1:]) > 0.0).all() or not np.isfinite(columns[:4]).all():
             raise TautError("the motor's times must rise, and its positions be finite: begin() starts another clock")
-        done = max(self._taken - 1, 0)  # the last stays: its time is the least that may come
+        done = max(self._taken - 1, 0)  # drops what was handed over, but the last: later times must be above its own
         self._t_s = np.concatenate([self._t_s[done:], times])
         self._moved = np.concatenate([self._moved[done:], np.column_stack(columns[1:4])])
         self._taken -= done
 
     def see(self, t_s: float, *seen: float) -> Row:
-        """Returns what was predicted for the frame that arrived at t_s, s, and then learns from what it shows: u, v
-        (px) and, if known, their sigma; c (deg) of an angle sensor; nothing where the tip was not seen. TautError for a
-        frame before the last one, or before any motor sample."""
+        """Returns what was predicted for the frame that arrived at t_s, s; what the frame shows is learnt from before
+        the next one is predicted. seen: u, v (px) of a marker and, if known, their sigma (px); c (deg) of an angle
+        sensor; nothing where the tip was not seen. TautError for a frame that is not later than the last one, before
+        any motor sample, or with another count of numbers."""
         if not self._frame_s < t_s < np.inf:
             raise TautError(f"a frame at {t_s:g} s after one at {self._frame_s:g} s: give frames in order of time")
         if seen and len(seen) not in ((2, 3) if self.sensor == MARKER else (1,)):
@@ -77,8 +80,8 @@ class Tracker:
         return row
 
     def _hand_over(self, scene_s: float) -> None:
-        """Gives the tracker the motor samples up to a scene time, s on the motor's clock; for the first frame one at
-        least. TautError where there is none."""
+        """Gives the tracker the motor samples up to a scene time, s on the motor's clock, that it has not got yet; for
+        the first frame at least one. TautError where there is none then."""
         upto = int(np.searchsorted(self._t_s, scene_s, side="right"))
         if not np.isfinite(self._frame_s):
             if not len(self._t_s):
@@ -91,15 +94,16 @@ class Tracker:
 
     @property
     def state(self) -> State:
-        """Whether the law in use is trusted, stale or being adapted, since the last frame."""
+        """Whether the law in use is trusted, stale or being adapted, as of the last frame."""
         return self._laws.state
 
     @property
     def changes(self) -> list[Change]:
-        """The states so far, and why each began."""
+        """Each change of state so far, with the frame at which the new state began, and why."""
         return self._laws.changes
 
     @property
     def compensation(self) -> float:
-        """The share of the calibrated B that may be taken up: the lower bound that the evidence allows."""
+        """The share of the calibrated B that may be taken up: the lower bound that the evidence allows; 1 is all of
+        it."""
         return self._laws.compensation

@@ -1,4 +1,4 @@
-"""The motor as it is known at a moment: causal, and only as long as it is needed."""
+"""The motor's path as it is known at a moment: by samples until then alone, of which only the last are kept."""
 
 from __future__ import annotations
 
@@ -13,46 +13,47 @@ _SPEED_S, _SPEED_SAMPLES = 0.02, 8  # tolerance: from which a speed is taken
 _KEPT = 256  # tolerance: samples that are done with, before they are dropped
 
 
-def _none() -> Array:
+def _no_samples() -> Array:
     """An array without elements, a field's default."""
     return np.empty(0)
 
 
 @dataclass
 class CausalPath:
-    """Samples after `done_s` and a few before."""
+    """Samples of the motor after `done_s`, and some before it. All times are s on the motor's clock."""
 
-    t_s: Array = field(default_factory=_none)  # (n,) rising
-    q: Array = field(default_factory=_none)  # (n,) unit of q
+    t_s: Array = field(default_factory=_no_samples)  # (n,) rising
+    q: Array = field(default_factory=_no_samples)  # (n,) unit of q
     others: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) translation, mm, and rotation, deg
-    done_s: float = -np.inf  # up to which the motion was used
+    done_s: float = -np.inf  # the motion up to this time was used
 
     def add(self, t_s: Array, q: Array, others: Array) -> None:
-        """Appends samples, as the fields are, which come after those that are there."""
+        """Appends samples (shapes and units as of the fields), all later than those that are there."""
         self.t_s = np.concatenate([self.t_s, t_s])
         self.q = np.concatenate([self.q, q])
         self.others = np.concatenate([self.others, others])
 
     def forget(self, done_s: float) -> None:
-        """Marks the motion up to done_s as used; samples before it, but for the few that tell a speed, are dropped once
-        they are more than _KEPT."""
+        """Marks the motion up to done_s as used. Samples before it, but for the _SPEED_SAMPLES that tell a speed, are
+        dropped once they are more than _KEPT."""
         self.done_s = done_s
         first = int(np.searchsorted(self.t_s, done_s, side="right")) - _SPEED_SAMPLES
         if first > _KEPT:
             self.t_s, self.q, self.others = self.t_s[first:], self.q[first:], self.others[first:]
 
-    def between(self, until_s: float) -> Array:
-        """Positions (n,) of the samples after done_s, up to until_s."""
+    def new_positions(self, until_s: float) -> Array:
+        """(n,) The positions, unit of q, of the samples after done_s, up to until_s."""
         first, last = np.searchsorted(self.t_s, [self.done_s, until_s], side="right")
         return self.q[first:last]
 
-    def at(self, t_s: float) -> float:
-        """The position at a time that samples surround; held before the first and after the last."""
+    def position_at(self, t_s: float) -> float:
+        """The position, unit of q, at t_s, interpolated between the samples around it; held before the first and after
+        the last one."""
         return float(np.interp(t_s, self.t_s, self.q))
 
-    def ahead(self, t_s: float) -> float:
-        """The position at t_s from the samples up to it alone: the last one, extrapolated by its speed for at most one
-        sample's period."""
+    def predicted_position(self, t_s: float) -> float:
+        """The position, unit of q, at t_s by the samples up to it alone: the last one, extrapolated with the speed of
+        the last _SPEED_S for at most one sample's period. The first sample's where all are later."""
         last = int(np.searchsorted(self.t_s, t_s, side="right"))
         if last == 0:
             return float(self.q[0])
@@ -61,21 +62,22 @@ class CausalPath:
         t, q = self.t_s[first:last], self.q[first:last]
         if len(t) < 2 or t_s == t[-1]:
             return float(q[-1])
-        middle = t - t.mean()
-        speed = float(middle @ q) / float(middle @ middle)
+        centred = t - t.mean()
+        speed = float(centred @ q) / float(centred @ centred)  # of a line through the samples (least squares)
         return float(q[-1]) + speed * min(t_s - float(t[-1]), float(t[-1] - t[-2]))
 
-    def others_at(self, t_s: float) -> tuple[float, float]:
-        """Translation (mm) and rotation (deg) of the last sample up to t_s."""
+    def other_axes_at(self, t_s: float) -> tuple[float, float]:
+        """Translation (mm) and rotation (deg) of the last sample up to t_s; of the first where all are later."""
         last = max(int(np.searchsorted(self.t_s, t_s, side="right")) - 1, 0)
         translation, rotation = self.others[last].tolist()
         return translation, rotation
 
 
 def knots(before: float, q: Array, end: float) -> Array:
-    """The points of a path from `before` through q to `end` that a play depends on, whatever its width: the lowest and
-    the highest, as far as they lie beyond both ends, in order; likewise of what follows the later of them, from there
-    on, and so on; then the end. What lies before it was wiped out by them."""
+    """Reduces a path from `before` through q (n,) to `end`, unit of q, to the points that a play of any width depends
+    on; what lies between them is wiped out. They are, in order of time: the lowest and the highest point, each if it
+    lies beyond both `before` and `end`; then the same of what follows the later of these, with that as `before`; and so
+    on; at last `end`."""
     kept: list[float] = []
     while len(q):
         low, high = int(q.argmin()), int(q.argmax())

@@ -21,21 +21,21 @@ _MANY = 4000  # tolerance: rows that are drawn
 
 
 def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure:
-    """State, offset and scale, with two of their standard deviations, over the time of use, and on top how far off
-    predictions were. unit: of q."""
+    """Draws, over the time of use: how far off predictions were; offset and scale of B, each with a band of two
+    standard deviations; the state as the background. At most _MANY rows are drawn. unit: of q."""
     with mpl.rc_context(figures.STYLE):
         made, axes = figures.figure(9.0, 6.0, rows=3, sharex=True)
         t_s = tracked.t_s + np.array(SessionClock.of(recordings).offset_s)[tracked.recording]
-        some = np.unique(np.linspace(0, len(t_s) - 1, _MANY).astype(int))
+        shown = np.unique(np.linspace(0, len(t_s) - 1, _MANY).astype(int))
         sensor = "px" if tracked.sensor == "marker" else "deg"
         off = off_by(tracked, recordings)
-        axes[0, 0].plot(t_s[some], off[some], ".", ms=2, color=figures.INK, rasterized=len(some) > figures.MANY)
+        axes[0, 0].plot(t_s[shown], off[shown], ".", ms=2, color=figures.INK, rasterized=len(shown) > figures.MANY)
         axes[0, 0].set_ylabel(f"off by ({sensor})")
         axes[0, 0].set_yscale("log")
         for row, name, label in ((1, "offset", f"offset ({unit})"), (2, "scale", "scale of B (1)")):
-            value, sigma = tracked.column(name)[some], tracked.column(f"{name}_sigma")[some]
-            axes[row, 0].fill_between(t_s[some], value - 2 * sigma, value + 2 * sigma, color=figures.BAND, lw=0)
-            axes[row, 0].plot(t_s[some], value, color=figures.MODEL, lw=1.4, drawstyle="steps-post")
+            value, sigma = tracked.column(name)[shown], tracked.column(f"{name}_sigma")[shown]
+            axes[row, 0].fill_between(t_s[shown], value - 2 * sigma, value + 2 * sigma, color=figures.BAND, lw=0)
+            axes[row, 0].plot(t_s[shown], value, color=figures.MODEL, lw=1.4, drawstyle="steps-post")
             axes[row, 0].set_ylabel(label)
         states = [row.state.value for row in tracked.rows]
         for panel in axes[:, 0]:
@@ -49,7 +49,7 @@ def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure
 
 
 def _bands(panel: Axes, t_s: np.ndarray, states: list[str]) -> None:
-    """Shades the background by the state over time."""
+    """Shades a panel's background by the state: states (n) of the rows at the times t_s (n,), s."""
     begin = 0
     for k in range(1, len(states) + 1):
         if k == len(states) or states[k] != states[begin]:

@@ -1,4 +1,4 @@
-"""What a sensor's row says of the tip: its bending angle."""
+"""What a sensor's reading says of the tip: its bending angle."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _LEAST_SLOPE = 1e-12  # tolerance: (px/deg)^2, of a tip that the image shows mov
 
 @dataclass(frozen=True)
 class AngleEstimate:
-    """The bending angle and its standard deviation, deg; `off`: how far the image is from where the marker can be at
-    all, in standard deviations."""
+    """The bending angle that a reading shows, and its standard deviation `sigma`, deg. `off`: how far the marker is
+    from its track in the image, the places at which any angle would put it, in standard deviations."""
 
     c_deg: float
     sigma: float
@@ -29,24 +29,25 @@ class AngleEstimate:
 
 @dataclass(frozen=True)
 class Projection:
-    """From the bending angle to the image and back."""
+    """Turns a bending angle into the marker's place in the image, and readings into angles."""
 
     model: Model
     sensor: Sensor
 
     @cached_property
     def noise(self) -> float:
-        """One standard deviation of a row's noise: px per coordinate of a marker, deg of an angle sensor."""
+        """Standard deviation of a reading by the calibration: px per coordinate of a marker, deg of an angle sensor."""
         return self.model.noise_of(self.sensor)
 
     @cached_property
     def _rig(self) -> np.ndarray:
-        """The rig's numbers as C takes them (`projection_rig`)."""
+        """The rig's numbers in the order in which C takes them (`projection_rig`)."""
         return projection_rig(self.model.rig)
 
     def image(self, c_deg: float, translation: float, rotation: float) -> tuple[float, float]:
-        """Marker's position, px, at a bending angle, with the other two axes at `translation` (mm) and `rotation`
-        (deg)."""
+        """The marker's place (u, v), px, at the bending angle c_deg, with the other two axes at `translation` (mm) and
+        `rotation` (deg)."""
+        # {}: no effects.
         px = _native.see({}, self._rig, np.array([c_deg]), np.array([translation]), np.array([rotation]))
         return float(px[0, 0]), float(px[0, 1])
 
@@ -57,8 +58,10 @@ class Projection:
     def from_image(
         self, u: float, v: float, translation: float, rotation: float, near: float, sigma: float = 0.0
     ) -> AngleEstimate | None:
-        """The angle whose image is nearest to (u, v), by Newton's method from the angle `near`, deg; sigma: of the
-        marker, px, NaN where it is not known. None where the tip would be behind the camera or no angle is found."""
+        """The angle whose image is nearest to the marker's place (u, v), px, by Gauss-Newton steps from the angle
+        `near`, deg. translation (mm), rotation (deg): of the other axes. sigma: of the place, px per coordinate, NaN
+        where it is not known; the calibration's noise counts where that is larger. None where the tip is not in front
+        of the camera, the image does not show it move, or the angle found is more than half a turn away."""
         sigma = max(self.noise, sigma)  # in this order: it is not NaN
         c, off_u, off_v, by_u, by_v, squares = near, 0.0, 0.0, 0.0, 0.0, 0.0
         moved, turned = np.array([translation]), np.array([rotation])
@@ -69,11 +72,12 @@ class Projection:
             squares = by_u * by_u + by_v * by_v
             if not squares > _LEAST_SLOPE:  # also where it is not in front of the camera
                 return None
-            step = (by_u * off_u + by_v * off_v) / squares
+            step = (by_u * off_u + by_v * off_v) / squares  # least squares of one unknown
             c += min(max(step, -STRIDE_DEG), STRIDE_DEG)
             if abs(step) <= _CLOSE:
                 break
         if abs(c - near) > _FARTHEST:
             return None
-        length = float(np.sqrt(squares))
-        return AngleEstimate(c, sigma / length, abs(off_u * by_v - off_v * by_u) / length / sigma)
+        px_per_deg = float(np.sqrt(squares))
+        off_px = abs(off_u * by_v - off_v * by_u) / px_per_deg  # across the track
+        return AngleEstimate(c, sigma / px_per_deg, off_px / sigma)

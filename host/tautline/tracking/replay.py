@@ -1,4 +1,4 @@
-"""Recordings as the tracker would have met them, row by row."""
+"""Recordings replayed to the tracker, row by row, as it would have met them in use."""
 
 from __future__ import annotations
 
@@ -30,23 +30,24 @@ _REPORTED = 500  # tolerance: rows between two reports of progress
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracked(Value):
-    """A row for each of the recordings' frames (or angles), invalid ones too; `t_s` are their arrival times."""
+    """The tracker's row for each frame (or reading of an angle) of the recordings, invalid ones too."""
 
-    recording: npt.NDArray[np.intp]
-    t_s: Array
-    rows: list[Row]
+    recording: npt.NDArray[np.intp]  # (n,) index of the recording
+    t_s: Array  # (n,) arrival times
+    rows: list[Row]  # n
     changes: list[Change]
     sensor: Sensor
 
     def column(self, name: str) -> Array:
-        """(n,) of a field of Row, in its unit."""
+        """(n,) The values of the field of Row with this name, in its unit, over all rows."""
         return np.array([getattr(row, name) for row in self.rows])
 
 
 def replay(model: Model, recordings: Sequence[Recording], progress: Progress = lambda fraction, text: None) -> Tracked:
-    """The tracker's rows for recordings in the order given; what it learnt carries over. Each row is predicted from the
-    motor up to that row's scene time and the rows before it. What the model carries beside its play moves the tip as
-    the calibration found it: the tracker keeps the rest."""
+    """Runs a tracker over recordings in the order given; what it learnt carries over from one to the next. Each row is
+    predicted from the motor up to its scene time and the rows before it. The tracker keeps the play alone: what other
+    effects of the model move (`moved_by_effects`) is taken from what is seen, and added to what is predicted. progress:
+    gets the share done, 0 to 1, and a text. TautError where the recordings have no sensor in common."""
     sensor = _sensor(recordings)
     tracker = Tracker(model.alone, sensor)
     number, times, rows = [], [], []
@@ -58,7 +59,7 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
         tracker.motor(motor.t_s, motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm)
         readings, moved = _readings(frames), moved_by_effects(model, recording, sensor)
         for k, arrival in enumerate(frames.t_s.tolist()):
-            rows.append(_beside(tracker, arrival, readings(k), None if moved is None else moved[k]))
+            rows.append(_row_with_effects(tracker, arrival, readings(k), None if moved is None else moved[k]))
             if len(rows) % _REPORTED == 0:
                 progress(len(rows) / whole, f"{recording.name}: {rows[-1].state}")
         number.append(np.full(len(frames.t_s), i, dtype=np.intp))
@@ -67,24 +68,24 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
 
 
 def moved_by_effects(model: Model, recording: Recording, sensor: Sensor) -> Array | None:
-    """(n, 3) by how much the model's effects move c, deg, and the image, px, of each frame at the motor's last sample
-    before it; None where it has none."""
+    """(n, 3) By how much the model's effects move the angle c, deg, and the marker's u and v, px, in each frame, by the
+    motor's last sample before its scene time. None where the model has no effects."""
     if not model.effects:
         return None
     motor = recording.motor
     scene = _frames(recording, sensor).t_s - model.delay_of(sensor)
     at = motor.t_s[np.maximum(np.searchsorted(motor.t_s, scene, side="right") - 1, 0)]
     load = model.load_reference_mNm
-    there, alone = (
+    with_effects, without = (
         effects.simulate(model, motor, at, own, load_reference=load) for own in (effects.of_model(model), {})
     )
-    return np.column_stack([there.c_deg - alone.c_deg, there.image_px - alone.image_px])
+    return np.column_stack([with_effects.c_deg - without.c_deg, with_effects.image_px - without.image_px])
 
 
-def _beside(tracker: Tracker, arrival_s: float, seen: tuple[float, ...], moved: Array | None) -> Row:
-    """The tracker's row for a frame. seen: as `_readings` gives it; moved (3,): by how much effects that the tracker
-    does not know move c, deg, and u, v, px: taken from what is seen, added to what is predicted. None: there are
-    none."""
+def _row_with_effects(tracker: Tracker, arrival_s: float, seen: tuple[float, ...], moved: Array | None) -> Row:
+    """Shows a frame to the tracker and returns its row. seen: as `_readings` gives it. moved (3,): by how much effects
+    that the tracker does not know move c, deg, and u, v, px; it is taken from what is seen and added to what is
+    predicted. None: there are no such effects."""
     if moved is None:
         return tracker.see(arrival_s, *seen)
     c, u, v = moved.tolist()
@@ -94,8 +95,8 @@ def _beside(tracker: Tracker, arrival_s: float, seen: tuple[float, ...], moved: 
 
 
 def off_by(tracked: Tracked, recordings: Sequence[Recording]) -> Array:
-    """Distance of each row's prediction from what was seen, px per coordinate (a length over sqrt(2)) or deg; NaN where
-    nothing was seen."""
+    """(n,) Distance of each row's prediction from what was seen: px per coordinate of a marker (its length over
+    sqrt(2)), deg of an angle; NaN where nothing was seen."""
     parts = []
     for i, recording in enumerate(recordings):
         frames = _frames(recording, tracked.sensor)
@@ -112,7 +113,7 @@ def off_by(tracked: Tracked, recordings: Sequence[Recording]) -> Array:
 
 
 def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float | None]:
-    """The rms of `off_by` for each recording; None where nothing was seen."""
+    """The rms of `off_by` (px or deg) for each recording; None where nothing was seen in it."""
     off = off_by(tracked, recordings)
     rms: list[float | None] = []
     for i in range(len(recordings)):
@@ -123,7 +124,8 @@ def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float |
 
 
 def _sensor(recordings: Sequence[Recording]) -> Sensor:
-    """MARKER or ANGLE: what all recordings have. TautError where they have neither in common, or there are none."""
+    """The sensor that all recordings have: MARKER, else ANGLE. TautError where they have neither in common, or there
+    are no recordings."""
     if not recordings:
         raise TautError("track needs a recording of use, or several")
     for sensor, name in ((MARKER, "marker"), (ANGLE, "angle")):
@@ -133,15 +135,15 @@ def _sensor(recordings: Sequence[Recording]) -> Sensor:
 
 
 def _frames(recording: Recording, sensor: Sensor) -> Marker | Angle:
-    """The recording's table of this sensor."""
+    """The recording's table of this sensor, which it must have."""
     frames = recording.marker if sensor == MARKER else recording.angle
     assert frames is not None
     return frames
 
 
 def _readings(frames: Marker | Angle) -> Callable[[int], tuple[float, ...]]:
-    """A function that gives, for each row, what was seen as LawTracker takes it: (c_deg,) or (u, v) or (u, v, sigma);
-    () where the tip was not seen."""
+    """Returns a function that gives, for a row's index, what was seen as `Tracker.see` takes it: (c_deg,), (u, v) or
+    (u, v, sigma); () where the tip was not seen."""
     if isinstance(frames, Angle):
         seen, c = frames.seen, frames.c_deg
         return lambda k: (float(c[k]),) if seen[k] else ()
@@ -152,7 +154,8 @@ def _readings(frames: Marker | Angle) -> Callable[[int], tuple[float, ...]]:
 
 
 def write_csv(path: Path, tracked: Tracked) -> None:
-    """COLUMNS, a row for each frame; u_px and v_px are empty without a camera."""
+    """Writes the rows to a CSV file with the columns COLUMNS, one row for each frame; u_px and v_px are empty without a
+    camera."""
     out = io.StringIO()
     out.write(COLUMNS + "\n")
     writer = csv.writer(out, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""How much the frames of the moment scatter by themselves, whatever the law leaves; and what they are off by alike."""
+"""How much the last frames scatter by themselves, whatever the law leaves; and the error that they have in common."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of a running mean; its share of squares 
 
 
 class Scatter:
-    """`ratio` is the standard deviation of the frames' own noise over the stated one: by the median square of third
-    differences of their residuals, in which neither a law's misfit nor its jumps at turns show. O(1) a frame,
+    """Estimates `ratio`, the standard deviation of the frames' own noise over the stated one: by the median square of
+    third differences of their residuals, in which neither a law's misfit nor its jumps at turns show. O(1) a frame,
     O(_FRAMES) each _ANEW frames."""
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class Scatter:
         self.ratio = 1.0  # of the noise to the stated one, 1 at least
 
     def add(self, z: float) -> None:
-        """Adds a frame's residual over its stated standard deviation; each _ANEW frames estimates `ratio` anew."""
+        """Adds a frame's residual over its stated standard deviation; every _ANEW frames `ratio` is estimated anew."""
         self._last.append(z)
         if len(self._last) == self._last.maxlen:
             first, second, third, fourth = self._last
@@ -38,11 +38,12 @@ class Scatter:
             self._new = 0
             count = len(self._squares)
             squares = count * spread.deviation_of_squares(np.array(self._squares)) ** 2 if count else 0.0
+            # The mean square, with the prior's frames at 1.
             self.ratio = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))
 
 
-class Lean:
-    """By how much all frames are off the law alike, deg: running means of the residual and of its square."""
+class CommonError:
+    """The error, deg, that the last frames have in common: running means of the residual and of its square."""
 
     def __init__(self) -> None:
         """Begins without frames."""
@@ -55,5 +56,5 @@ class Lean:
 
     @property
     def common_deg(self) -> float:
-        """The mean residual, deg, if its square is more than _LEANS of the mean square; else 0."""
+        """The mean residual, deg, if its square is more than the share _LEANS of the mean square; else 0."""
         return self._mean if self._mean**2 > _LEANS * self._square else 0.0

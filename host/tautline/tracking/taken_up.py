@@ -12,15 +12,15 @@ Array = npt.NDArray[np.float64]
 
 
 class TakenUp:
-    """`scale` is the least share of B that may be taken up between the reversals that measured it; `dialled` says why
-    that is less than what the law in use has, or is ""."""
+    """`scale` is the least share of B that may be taken up between the reversals that measured it; `why_dialled` says
+    why that is less than what the law in use has, or is ""."""
 
     def __init__(self, model: Model) -> None:
         """Begins with all of the calibrated B allowed. model: as calibrated, on the grid of its family."""
         self._q = model.q
         self._measured = model.is_measured
         self._allowed = np.ones(len(model.q))  # (nodes,) share of B that may be taken up at each
-        self.scale, self.dialled = 1.0, ""
+        self.scale, self.why_dialled = 1.0, ""
 
     def follow_law(self, family: LawFamily, law: Law, theta: Array, passed: tuple[float, float]) -> None:
         """Sets the allowed share of B at each node to what the law in use has there, and takes all of it up. Where that
@@ -43,15 +43,15 @@ class TakenUp:
 
     def take_up_all_allowed(self, theta: Array) -> None:
         """Sets the scale to the least allowed share of B where B was measured, or to that of theta (PARAMETERS,) if it
-        was measured nowhere; ends dialling down."""
-        self.dialled = ""
+        was measured nowhere; ends a dialling down."""
+        self.why_dialled = ""
         self.scale = float(np.min(self._allowed[self._measured])) if self._measured.any() else float(theta[SCALE])
 
     def dial_down(self, share: float) -> None:
-        """Sets the scale to this share of B until a law is adopted or trusted again, as two passes of one place show a
-        narrower B; sets `dialled` to why."""
+        """Sets the scale to this share of B, as two passes of one place show a narrower B, until a law is adopted or
+        trusted again; sets `why_dialled`."""
         self.scale = share
-        self.dialled = (
+        self.why_dialled = (
             f"transmission.backlash: {100 * share:.0f} % of the calibrated width "
             f"where the tip passed both ways: no more is taken up"
         )

@@ -37,14 +37,14 @@ class FrameSource(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Frames that the camera took and that never came."""
+        """How many frames the camera took that never came."""
 
     def read(self) -> tuple[Array, float] | None:
         """Waits for the next frame, BGR (height, width, 3) uint8, and when it arrived, s. None at the end of the
         source."""
 
     def close(self) -> None:
-        """Gives the source back."""
+        """Gives the source back to the system."""
 
 
 class VideoCamera(Closable):
@@ -89,7 +89,7 @@ class VideoCamera(Closable):
         self._drops = Drops()
 
     def _why_not_opened(self, pipeline: bool) -> str:
-        """The end of the error where OpenCV does not open the source: what may be wrong with it."""
+        """Returns what may be wrong with a source that OpenCV does not open, as the end of an error's text."""
         if self._file:
             return "is it a video?"
         if not pipeline:
@@ -100,7 +100,7 @@ class VideoCamera(Closable):
 
     @property
     def dropped(self) -> int:
-        """Frames of a device or a stream that never came."""
+        """How many frames of a device or a stream never came; 0 of a file."""
         return self._drops.count
 
     @property
@@ -111,7 +111,8 @@ class VideoCamera(Closable):
         return count if count > 0 else None
 
     def seek(self, frame: int) -> None:
-        """Of a file: the next `read` gives about this frame (from 0 on; how exactly is up to the container)."""
+        """Moves to a frame of a file, counted from 0: the next `read` gives that one or one near it, as the container
+        allows."""
         self._capture.set(cv2.CAP_PROP_POS_FRAMES, frame)
 
     @property
@@ -126,9 +127,9 @@ class VideoCamera(Closable):
             self._exposure = exposure.lock(self._capture)
 
     def read(self) -> tuple[Array, float] | None:
-        """The next picture, BGR (height, width, 3) uint8, and when it arrived, s (see the class); None at a file's end,
-        TautError where a device or stream ends. A driver's stamp that is 0 to 1 s old by the host's monotonic clock is
-        taken to be of that clock; else the time of grabbing is used."""
+        """Reads the next picture, BGR (height, width, 3) uint8, and when it arrived, s (see the class). None at a
+        file's end; TautError where a device or stream ends. A driver's stamp that is 0 to 1 s old by the host's
+        monotonic clock is taken to be of that clock; else the time of grabbing is used. `clock` says which."""
         if not self._capture.grab():
             self._check_end()
             return None
@@ -152,7 +153,7 @@ class VideoCamera(Closable):
         return picture, arrival_s
 
     def _check_end(self) -> None:
-        """TautError where no frame came of a device or a stream: only a file may end."""
+        """Raises TautError, as no frame came, if the source is a device or a stream: only a file may end."""
         if not self._file:
             raise TautError(f"{self.name}: no more frames: check its cable or the stream's sender")
 
@@ -174,8 +175,8 @@ def read_picture(path: str | Path) -> Array | None:
 
 
 def sample_video(path: Path, count: int) -> list[Array]:
-    """Up to `count` (2 or more) frames, BGR (height, width, 3) uint8, evenly over a video file; its first ones if its
-    length is unknown. TautError where it holds none."""
+    """Returns up to `count` (2 or more) frames, BGR (height, width, 3) uint8, spread evenly over a video file; its
+    first ones if its length is unknown or no more than that. TautError where it holds none."""
     with VideoCamera(path) as camera:
         total = camera.frames or 0
         pictures = []
@@ -211,13 +212,13 @@ class VideoFile:
         self._writer.write(picture)
 
     def __enter__(self) -> Self:
-        """Itself; the file is created by the first picture."""
+        """Returns itself; the file is created by the first picture."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Ends the file, if a picture was written; an error of the block goes on."""
+        """Ends the file, if a picture was written; an error of the block is not caught."""
         if self._writer is not None:
             self._writer.release()
 
@@ -254,13 +255,14 @@ class SimulatedCamera:
         return self._next[1]
 
     def read(self) -> tuple[Array, float]:
-        """The next frame, BGR (height, width, 3) uint8, and when it arrives, s of the simulation."""
+        """Returns the next frame, BGR (height, width, 3) uint8, and when it arrives, s of the simulation. The frame is
+        the mean of _EXPOSURE_SAMPLES pictures over its exposure."""
         scene_s, arrival_s = self._next
         self._next = next(self._frames)
         return self._endoscope.frame(*self._scene(scene_s + self._exposure)), arrival_s
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Does nothing, as nothing is held open."""
 
 
 def _has_gstreamer() -> bool:
@@ -272,11 +274,11 @@ class _quiet_opencv:
     """A context in which OpenCV and FFmpeg print nothing to stderr: a TautError says in one line what failed."""
 
     def __enter__(self) -> None:
-        """Silences both, FFmpeg unless the environment says otherwise."""
+        """Silences OpenCV, and FFmpeg unless the environment says otherwise."""
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's "quiet"
         self._level = cv2.utils.logging.getLogLevel()
         cv2.utils.logging.setLogLevel(0)  # silent
 
     def __exit__(self, *_: object) -> None:
-        """Sets OpenCV's log level back."""
+        """Sets OpenCV's log level back; FFmpeg's stays."""
         cv2.utils.logging.setLogLevel(self._level)

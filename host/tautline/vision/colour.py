@@ -1,5 +1,5 @@
 """The marker's colour, picked once: the direction in colour space along which the marker differs most from what is
-around it, and tissue's own colours, its brightness and white glare differ least."""
+around it, while tissue's own colours, its brightness and white glare differ least."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ class MarkerColour:
     at: tuple[float, float] = (float("nan"), float("nan"))  # where it was picked, px
 
     def membership(self, picture: Array) -> Array:
-        """(height, width) float32: how much each pixel of a BGR uint8 picture (height, width, 3) is of the marker's
-        colour: 1 as on the marker, about 0 as around it."""
+        """(height, width) float32: how much each pixel of a BGR picture (height, width, 3) uint8 is of the marker's
+        colour, 1 on the marker as it was picked, about 0 around it."""
         row = np.array([[*self.weights, self.offset]], dtype=np.float32)
         return np.asarray(cv2.transform(picture.astype(np.float32), row))
 
     def save(self, path: str | Path) -> None:
-        """Writes marker.toml."""
+        """Writes the colour to a file, marker.toml."""
         document = {
             "format": FORMAT,
             "weights_bgr": list(self.weights),
@@ -60,7 +60,7 @@ class MarkerColour:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Reads marker.toml. The place where the colour was picked is not read back: `at` is NaN. TautError where the
-        file is no marker.toml."""
+        file cannot be read, is no marker.toml, or holds numbers out of range."""
         path = Path(path)
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -80,8 +80,8 @@ class MarkerColour:
 
 
 def _number(document: dict[str, Any], key: str, path: Path) -> float:
-    """The value of a key in marker.toml's document, a number (inf for an integer that is too large). TautError, which
-    names `path`, where the value is no number."""
+    """The value of `key` in the document of marker.toml as a number, inf for an integer that is too large. TautError,
+    which names `path`, where the value is no number."""
     value = document.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
@@ -92,8 +92,8 @@ def _number(document: dict[str, Any], key: str, path: Path) -> float:
 
 
 def _three_numbers(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
-    """The value of a key in marker.toml's document, three numbers. TautError, which names `path`, where the value is
-    something else."""
+    """The value of `key` in the document of marker.toml as three numbers. TautError, which names `path`, where the
+    value is something else."""
     value = document.get(key)
     if not isinstance(value, list) or len(value) != 3:
         raise TautError(f"{path}: {key} is {value!r}, expected three numbers: run 'taut marker' again")
@@ -126,9 +126,9 @@ def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
 
 
 def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
-    """The colours of up to `places` blobs that stand out in a picture, BGR (height, width, 3) uint8, the most
-    marker-like first. They are looked for where the smoothed colour is farthest from the picture's own (Mahalanobis
-    distance), one after the other; what was looked at is blanked."""
+    """Picks the colours of up to `places` blobs that stand out in a picture, BGR (height, width, 3) uint8; the most
+    marker-like is first. It looks where the smoothed colour is farthest from the picture's own colours (Mahalanobis
+    distance), blanks that place, and looks again, `places` times."""
     _check_picture(picture)
     around = _surroundings(picture)
     mean, covariance = around
@@ -151,14 +151,15 @@ def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
 
 
 def _check_picture(picture: Array) -> None:
-    """TautError where a picture is not BGR (height, width, 3) uint8 with 16 px a side or more."""
+    """Raises TautError unless a picture is BGR (height, width, 3) uint8 with 16 px a side or more."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or min(picture.shape[:2]) < 16:
         raise TautError("a marker is picked from a BGR picture of 8 bits: (height, width, 3) uint8, 16 px and more")
 
 
 def _surroundings(picture: Array) -> tuple[Array, Array]:
-    """Mean (3,), levels of B, G, R, and covariance (3, 3) of a picture's colours, from some 40 000 of its pixels, with
-    variances added for glare (all channels alike) and noise, so that neither of them looks like a marker."""
+    """Mean (3,), levels of B, G, R, and covariance (3, 3) of a picture's colours, by some 40 000 of its pixels.
+    Variances of glare, which changes all channels alike, and of noise are added, so that neither of them looks like a
+    marker."""
     step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / 40_000)))
     sample = picture[::step, ::step].reshape(-1, 3).astype(np.float64)
     covariance = np.cov(sample.T) + _GLARE**2 * np.ones((3, 3)) + _NOISE**2 * np.eye(3)
@@ -168,21 +169,21 @@ def _surroundings(picture: Array) -> tuple[Array, Array]:
 def _pick_blob_at(
     picture: Array, at: tuple[float, float], around: tuple[Array, Array]
 ) -> tuple[MarkerColour, float] | None:
-    """The colour of the blob at `at` (u, v) px, by Fisher's linear discriminant against `around` (see `_surroundings`),
-    in three passes, each from the median colour of the blob before; and a score without unit that grows with its
-    distinctness, compactness, share of all pixels of this colour, and size up to 15 px. None where it does not stand
-    out, or is no blob of a marker's size."""
+    """Picks the colour of the blob at `at` (u, v) px by Fisher's linear discriminant against `around`, the mean and
+    covariance of `_surroundings`, in three passes, each from the median colour of the blob found before. Returns it
+    with a score without unit, which grows with the blob's distinctness, compactness, share of all pixels of this
+    colour, and size up to 15 px. None where it does not stand out, or there is no blob of a marker's size."""
     column, row = int(at[0]), int(at[1])
     close = slice(max(0, row - 2), row + 3), slice(max(0, column - 2), column + 3)
     colour = np.median(picture[close].reshape(-1, 3), axis=0)
     mean, covariance = around
     picked = None
     for _ in range(3):
-        weights = np.linalg.solve(covariance, colour - mean)
-        separation = float(weights @ (colour - mean))
+        weights = np.linalg.solve(covariance, colour - mean)  # Fisher's direction
+        separation = float(weights @ (colour - mean))  # squared Mahalanobis distance of the colour from around
         if separation < _DISTINCT:
             return None
-        weights /= separation
+        weights /= separation  # so that membership is 1 at the colour, 0 at the mean around it
         candidate = MarkerColour(
             _triple(weights), offset=float(-weights @ mean), colour=_triple(colour), diameter_px=SMALLEST_PX, at=at
         )  # its diameter is not known yet
@@ -209,8 +210,8 @@ class _Blob:
 
 
 def _blob_in(inside: Array, window: tuple[slice, slice]) -> _Blob | None:
-    """The blob of `inside`, (height, width) bool, that has most pixels in a window of rows and columns; None where
-    there is none, or it is too small or too large for a marker."""
+    """The blob of `inside`, (height, width) bool, that has most pixels in a window of rows and columns. None where no
+    blob has any, or it is too small or too large for a marker."""
     _, labels, stats, centroids = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=8)
     near = labels[window]
     near = near[near > 0]

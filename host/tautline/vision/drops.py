@@ -1,4 +1,4 @@
-"""How many frames a camera took that never came: by the gaps between those that did."""
+"""How many frames a camera took that never came, told by the gaps between those that did."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ _KEPT = 0.9  # tolerance: a frame, of its lateness: jitter is made up for, a per
 
 
 class Drops:
-    """Counts the frames that a camera lost, from the arrival times of the others. The camera's rate may change, and its
-    clock be any."""
+    """Counts the frames that a camera lost, from the arrival times of the others. The camera's rate may change, and the
+    times may be of any clock."""
 
     def __init__(self) -> None:
-        """No frame has come yet."""
+        """Begins without frames."""
         self._last_s: float | None = None
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
         self._behind = 0.0  # periods by which the last frame was late, beyond those counted as lost
         self._missing = 0
 
     def add(self, t_s: float) -> None:
-        """Takes in a frame that arrived at t_s, after the last one. By how many of the camera's periods it is late, so
-        many were lost; lateness is summed up, so that jitter cancels. A very long gap is a pause of the reader and
-        counts as none."""
+        """Counts the frames lost before one that arrived at t_s, s, after the last one: by as many of the camera's
+        periods as it is late, rounded. Lateness is summed up over frames, so that jitter cancels. A very long gap is a
+        pause of the reader, and counts as none."""
         before, self._last_s = self._last_s, t_s
         if before is None:
             return
@@ -38,7 +38,8 @@ class Drops:
         usual = float(np.median(intervals))
         if len(intervals) < _FIRST or usual <= 0.0:
             return
-        # Whole periods, 0 of a frame that came together with the one before; the median is one, so there is a sum.
+        # The mean period: each interval is a whole number of periods (0 where two frames came together). The median
+        # interval is one period, so that the sum is not 0.
         period = float(intervals.sum() / np.rint(intervals / usual).sum())
         self._behind = _KEPT * self._behind + (t_s - before) / period - 1.0
         missing = round(self._behind)
@@ -46,13 +47,13 @@ class Drops:
         self._missing += missing
 
     def _is_pause(self, gap_s: float) -> bool:
-        """Whether a gap between two frames, s, is so long that nobody read meanwhile, instead of the camera losing
-        frames. False while the camera's period is not known."""
+        """Whether a gap between two frames, s, is so long that nobody read the camera meanwhile, rather than that it
+        lost frames. False while the camera's period is not known."""
         if len(self._intervals) < _FIRST:
             return False
         return gap_s > max(_PAUSE_S, _PAUSE * float(np.median(self._intervals)))
 
     @property
     def count(self) -> int:
-        """Frames lost so far; never below 0, where jitter takes the sum."""
+        """Frames lost so far; 0 where jitter has made the sum negative."""
         return max(self._missing, 0)

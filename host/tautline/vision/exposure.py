@@ -1,6 +1,5 @@
-"""A device's exposure, held where its automatic one had settled: where it changes, a frame's middle moves in time by
-half of that, and what is followed looks otherwise.
-"""
+"""Locks a device's exposure where its automatic one has settled: where the exposure changes, the middle of a frame
+moves in time by half of the change, and what is followed looks otherwise."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ _UNIT_MS = 0.1  # format: of V4L2's exposure
 
 @dataclass(frozen=True)
 class Exposure:
-    """What came of `lock`."""
+    """The result of `lock`."""
 
     locked: bool  # the exposure stays as it is
     says: str  # that, or what the camera refused, in a line
@@ -26,9 +25,10 @@ class Exposure:
 
 
 def lock(capture: cv2.VideoCapture) -> Exposure:
-    """Locks an open device's exposure: waits until the automatic one has settled (dropping _SETTLES frames), then sets
-    the same value as a manual one. Where the camera refuses, or takes another value, it is set back to automatic; the
-    result says so."""
+    """Locks an open device's exposure: drops _SETTLES frames, in which the automatic one settles, then sets the same
+    value as a manual one. An exposure that is manual already stays. Where the camera refuses, or takes another value,
+    it is set back to automatic. Returns what came of it; `before` is set, for `release`, only where the exposure was
+    changed."""
     for _ in range(_SETTLES):
         capture.grab()
     backend = capture.getBackendName()

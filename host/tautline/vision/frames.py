@@ -19,10 +19,10 @@ Seen = TypeVar("Seen")
 def every_frame(
     video: Video, look: Callable[[Array], Seen], progress: Progress | None = None
 ) -> tuple[Array, list[Seen], tuple[int, int] | None]:
-    """Calls `look` with every picture of a video, BGR (height, width, 3) uint8. Returns arrival times (n,) s (of
-    frames.csv, NaN where it does not name the frame; without one the container's), what `look` returned (n), and the
-    pictures' size (width, height) px, None without a picture. progress: gets the share done, 0 to 1, and a word.
-    TautError where the container's times do not rise."""
+    """Calls `look` with every picture of a video, BGR (height, width, 3) uint8. Returns the arrival times (n,), s
+    (those of frames.csv, NaN for frames that it does not list; without one, the container's), what `look` returned (n),
+    and the pictures' size (width, height) px, None if there was none. progress: gets the share done, 0 to 1, and a
+    text. TautError where the container's times are used and do not rise."""
     size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Seen] = []
@@ -47,6 +47,6 @@ def every_frame(
 
 
 def half_progress(progress: Progress | None, begins: float) -> Progress:
-    """The progress to hand to one of two passes over a video: its shares 0 to 1 become `begins` to `begins` + 0.5 of
-    the whole. Does nothing where progress is None."""
+    """Returns the progress to hand to one of two passes over a video: a share 0 to 1 of the pass is told to `progress`
+    as `begins` to `begins` + 0.5 of the whole. It does nothing where progress is None."""
     return lambda share, text: progress(begins + 0.5 * share, text) if progress else None

@@ -1,4 +1,5 @@
-"""The marker tracker: where a coloured marker is in each frame, to a few hundredths of a pixel, and how surely."""
+"""The marker tracker: where a coloured marker is in each frame, to a few hundredths of a pixel, and how surely it is
+known."""
 
 from __future__ import annotations
 
@@ -20,8 +21,7 @@ from tautline.vision.colour import MarkerColour, candidates, pick
 from tautline.vision.frames import Progress, every_frame, half_progress
 from tautline.vision.region import Region
 from tautline.vision.scene import bending_by_scene
-from tautline.vision.sighting import SURE_PX, Sighting
-from tautline.vision.sighting import lost as lost_sighting
+from tautline.vision.sighting import SURE_PX, Sighting, lost_sighting
 
 Array = np.ndarray
 
@@ -66,11 +66,11 @@ class MarkerTracker:
     is hidden, 1 ms to search 720 x 576 px.
     """
 
-    def __init__(self, colour: MarkerColour, alike: Sequence[tuple[float, float]] = ()) -> None:
-        """colour: the marker's, as it was picked; alike: places (u, v) px of decoys, things with the marker's colour
-        and size that do not move (see `alike_but_still`)."""
+    def __init__(self, colour: MarkerColour, decoys: Sequence[tuple[float, float]] = ()) -> None:
+        """Begins with nothing known of where the marker is. colour: the marker's, as it was picked; decoys: places (u,
+        v) px of things with the marker's colour and size that do not move (see `find_decoys`)."""
         self.colour = colour
-        self._decoys = np.array(alike, dtype=float).reshape(-1, 2)  # px
+        self._decoys = np.array(decoys, dtype=float).reshape(-1, 2)  # px
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
         length = max(sqrt(sum(level * level for level in colour.colour)), 1.0)
         self._hue = tuple(level / length for level in colour.colour)  # unit vector of B, G, R
@@ -88,7 +88,9 @@ class MarkerTracker:
         self._expected = MarkerExpected(self.colour.diameter_px)  # by the frames so far
 
     def track(self, picture: Array) -> Sighting:
-        """The marker in the next frame, BGR (height, width, 3) uint8; lost, with the reason, where it is not found."""
+        """Finds the marker in the next frame, BGR (height, width, 3) uint8: around where it should be if it was seen in
+        the frame before, else, or if it is not there, in the whole frame. Lost, with the reason, where it is not
+        found."""
         last = self._last
         if last is not None:
             sighting = self._follow(picture, last)
@@ -105,13 +107,13 @@ class MarkerTracker:
         return sighting
 
     def _is_decoy(self, sighting: Sighting) -> bool:
-        """Whether a sighting is at the place of a decoy (see __init__), within _SAME_PLACE of its diameter."""
+        """Whether a sighting is at the place of a decoy, within _SAME_PLACE of the sighting's diameter."""
         away = np.hypot(*(self._decoys - (sighting.u_px, sighting.v_px)).T)
         return bool((away < _SAME_PLACE * sighting.diameter_px).any())
 
     def _follow(self, picture: Array, last: Sighting) -> Sighting:
-        """Looks for the marker in a BGR picture where it should be if it moves on from its `last` sighting as before;
-        lost where its size jumps."""
+        """Looks for the marker in a BGR picture where it should be if it moves on from its `last` sighting by the same
+        step as before. Lost, with the reason, where it is not there or its size jumps."""
         speed = max(abs(self._step_px[0]), abs(self._step_px[1]))
         u, v = last.u_px + self._step_px[0], last.v_px + self._step_px[1]
         sighting = self._measure(picture, u, v, last.diameter_px, slack=0.5 * speed)
@@ -120,17 +122,17 @@ class MarkerTracker:
         return sighting
 
     def _has_its_size(self, sighting: Sighting) -> bool:
-        """Whether a sighting is about as large as the marker was when it was seen last; after _FORGOTTEN frames any
-        size will do."""
+        """Whether a sighting is about as large as the marker was when it was seen last. True if it was never seen, or
+        not for more than _FORGOTTEN frames."""
         if self._last_seen is None or self._frames_unseen > _FORGOTTEN:
             return True
         return _SHRUNK < sighting.diameter_px / self._last_seen.diameter_px < _GROWN
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
-        """Measures the marker by its outline in a BGR picture; lost, with the reason, where there is none. u, v,
-        diameter: where and how large it is expected, px; slack: px of room about that. If the outline goes on beyond
-        the region that is looked at, a larger region is tried, twice at most. After a success, colour and outline are
-        what the next frame is compared with."""
+        """Measures the marker by its outline in a BGR picture. Lost, with the reason, where no outline is like the
+        marker's in contrast, colour, shape and size. u, v, diameter: where and how large it is expected, px; slack: px
+        of room about that. If the outline goes on beyond the region that is looked at, a larger region is tried, twice
+        at most. After a success, its colour and outline become what the next frame is compared with."""
         half_px = int(_REGION * diameter + _MARGIN_PX + slack)  # half the side of the region that is looked at
         for _ in range(3):
             status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half_px, self._expected)
@@ -156,8 +158,8 @@ class MarkerTracker:
         return Sighting(outline.u, outline.v, max(outline.sigma, SURE_PX), outline.diameter, lit_px=lit_px)
 
     def _search(self, picture: Array) -> Sighting:
-        """Looks for the marker in the whole frame: the likeliest blob (see `_likeness`) of its size that is no decoy;
-        lost, with the reason, where there is none."""
+        """Looks for the marker in a whole BGR picture: the likeliest blob (see `_likeness`) of its size that is no
+        decoy. Lost, with the reason, where there is none. Sets what the next frame is compared with."""
         blobs = self.blobs(picture)
         others = [blob for blob in blobs if not self._is_decoy(blob.seen)]
         alike = [blob for blob in others if self._has_its_size(blob.seen)]
@@ -171,15 +173,15 @@ class MarkerTracker:
         return best.seen
 
     def _likeness(self, blob: _Blob) -> float:
-        """How likely a blob is the marker: its score, the less the farther it is from where the marker was last seen.
-        Without unit."""
+        """How likely a blob is the marker, without unit: its score, reduced by its distance from where the marker was
+        last seen, to a half at _NEAR picked diameters."""
         if self._last_seen is None:
             return blob.score
         away = float(np.hypot(blob.seen.u_px - self._last_seen.u_px, blob.seen.v_px - self._last_seen.v_px))
         return blob.score / (1.0 + (away / (_NEAR * self.colour.diameter_px)) ** 2)
 
     def blobs(self, picture: Array) -> list[_Blob]:
-        """The blobs of the marker's colour in a BGR picture, measured, six at most. They are searched in the picture
+        """Measures the blobs of the marker's colour in a BGR picture, six at most. They are looked for in the picture
         shrunk as far as the smallest marker allows, at most four times; fainter ones only if there is no clear one."""
         shrink = 1
         while shrink < 4 and self._smallest_px / shrink > 2.0 and min(picture.shape[:2]) > 16 * shrink:
@@ -193,10 +195,11 @@ class MarkerTracker:
         return []
 
     def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
-        """Measures the connected regions in which the membership exceeds `level` and whose area is about the marker's,
-        six at most. y (height, width): membership (1 is the marker as picked) in the picture made `shrink` times
-        smaller. An outline is cut at half the region's own level, the 90 % quantile of its membership. Each is measured
-        against what was expected before the search. Where there is none, the reason is kept in _why_none."""
+        """Measures the connected regions of membership above `level` with about the marker's area, six at most. y
+        (height, width): membership (1 is the marker as picked) in the picture made `shrink` times smaller. A region's
+        outline is cut at half of its own level, the 90 % quantile of its membership (`_cut`). Each is compared with
+        what was expected before the search, which stays. Where one cannot be measured, the reason is kept in
+        _why_none."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         usual_area = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2  # of the disc, px of the small picture
         blobs, before = list[_Blob](), self._expected  # which `_measure` replaces
@@ -226,10 +229,10 @@ class MarkerTracker:
 
 
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
-    """The marker's colour from BGR pictures of one scene that were taken some time apart: of the colours that stand
-    out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. Where it is pale against
-    `_of_median_purity`, as in glare, that one is taken if it finds the marker about as well. None where nothing stands
-    out."""
+    """Finds the marker's colour in BGR pictures of one scene that were taken some time apart: of the colours that stand
+    out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. Where it is pale, as in
+    glare, beside the colour of median purity over all pictures, that colour is taken instead, if it finds the marker
+    about as well. None where nothing stands out."""
     colours: list[MarkerColour] = []
     for picture in pictures[:: max(1, len(pictures) // _LOOKED_AT)][:_LOOKED_AT]:
         colours += [
@@ -241,17 +244,17 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     if not scored:
         return None
     score, _, best = max(scored, key=lambda entry: entry[:2])  # of equals the first
-    usual = _of_median_purity(best, pictures)
+    usual = _colour_of_median_purity(best, pictures)
     pale = _purity(best) < _PALE * _purity(usual)
     return usual if pale and _moving_score(usual, pictures) >= _AS_OFTEN * score else best
 
 
 def _purity(colour: MarkerColour) -> float:
-    """Saturation of a marker's colour: 0 (grey) to 1."""
+    """Saturation of a marker's colour: 0 (grey) to 1 (a channel is dark)."""
     return 1.0 - min(colour.colour) / max(*colour.colour, 1.0)
 
 
-def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
+def _colour_of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
     """Picks the marker's colour anew in every picture that shows it, and returns the one of median purity: where it was
     picked first the marker may have been pale with light. `colour` itself where no picture shows it."""
     tracker = MarkerTracker(colour)
@@ -266,13 +269,14 @@ def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> Marker
     return picked[len(picked) // 2] if picked else colour
 
 
-def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
-    """Places (u, v) px of decoys: things of the marker's colour and size that rest in BGR pictures taken some time
-    apart, while another one, the marker, moves. Empty where all of them move, or none does. The place with most blobs
-    around it is a decoy's if enough pictures show it; then the next among the remaining blobs."""
+def find_decoys(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
+    """Finds the places (u, v) px of decoys: things of the marker's colour and size that rest in BGR pictures taken some
+    time apart, while another one, the marker, moves. Empty where all of them move, or none does. The place with most
+    blobs around it is a decoy's if enough pictures show it (_STAYS); then the next among the remaining blobs, until one
+    is not."""
     tracker = MarkerTracker(colour)
     seen = [(k, b.seen.u_px, b.seen.v_px) for k, picture in enumerate(pictures) for b in tracker.blobs(picture)]
-    owner, *places_uv = np.array(seen).reshape(-1, 3).T  # owner: of which picture
+    owner, *places_uv = np.array(seen).reshape(-1, 3).T  # owner: (blobs,) index of the picture
     places = np.column_stack(places_uv)
     still: list[tuple[float, float]] = []
     remaining = np.ones(len(places), dtype=bool)
@@ -299,10 +303,10 @@ def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
 
 
 def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
-    """How well `colour` finds a moving marker in the pictures, 0 to 1: 0.1 share + 0.9 max(moved, 0.3 share min(1,
-    sway / 2 px)). share: of the pictures, in which it is found; moved: likewise, but a picture counts only as far as
-    the marker's colour is not where it was in pictures in which it is elsewhere; sway: how far it moves, px, if by less
-    than its size."""
+    """How well `colour` finds a marker that moves in the pictures, 0 to 1: 0.1 share + 0.9 max(moved, 0.3 share min(1,
+    sway / 2 px)). share: of pictures in which the marker is found. moved: the same share, but each picture counts by
+    how little its place has the marker's colour in up to four pictures that show the marker elsewhere; a thing that
+    stays counts 0. sway: how far the places go (10 % to 90 %), px, for a marker that moves by less than its size."""
     tracker = MarkerTracker(colour)
     places = []
     for picture in pictures:
@@ -310,14 +314,14 @@ def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
         seen = tracker.track(picture)
         places.append((seen.u_px, seen.v_px))
     place = np.array(places)
-    moved = 0.0  # so many pictures
+    moved = 0.0  # pictures
     for k in np.flatnonzero(np.isfinite(place[:, 0])):
         away = np.hypot(*(place - place[k]).T)
         others = np.flatnonzero(away > 1.5 * colour.diameter_px)  # NaN is not
         if len(others):
             column, row = np.rint(place[k]).astype(int)
-            there = [colour.membership(pictures[j][row : row + 1, column : column + 1])[0, 0] for j in others[:4]]
-            moved += 1.0 - float(np.clip(np.mean(there), 0.0, 1.0))
+            left = [colour.membership(pictures[j][row : row + 1, column : column + 1])[0, 0] for j in others[:4]]
+            moved += 1.0 - float(np.clip(np.mean(left), 0.0, 1.0))
     seen_at = place[np.isfinite(place[:, 0])]
     share = len(seen_at) / len(pictures)
     if not len(seen_at):
@@ -327,9 +331,9 @@ def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
 
 
 def track_video(video: Video, colour: MarkerColour | None = None, progress: Progress | None = None) -> Marker:
-    """Tracks the marker through every frame of a video; returns what marker.csv would hold, rows where it is lost being
-    not valid. colour: as picked with `taut marker`; by default that of the marker.toml beside the video, or the place
-    of its region.toml is followed, or else the colour of what stands out and moves is taken. Times are those of
+    """Tracks the marker through every frame of a video. Returns what marker.csv would hold; rows where it is lost are
+    not valid. colour: as picked with `taut marker`. Without it the place of a region.toml beside the video is followed;
+    else the colour is that of a marker.toml beside it, or that of what stands out and moves. Times are those of
     frames.csv, or without one the container's with the first frame at 0; frames that frames.csv does not list give no
     row. TautError where no marker is found."""
     region = Region.beside(video.path) if colour is None else None
@@ -344,20 +348,21 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
             f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V', or with "
             "--region U,V a place to follow where there is no marker"
         )
-    tracker = MarkerTracker(colour, alike_but_still(colour, samples))
+    tracker = MarkerTracker(colour, find_decoys(colour, samples))
     frames = _Frames(*every_frame(video, tracker.track, progress))
     if not any(s.valid for s in frames.seen):
         raise TautError(
             f"{video.path}: no marker is seen in any of its {len(frames.seen)} frames: "
             f"pick its colour with 'taut marker {video.path}', and --at U,V if it does not stand out"
         )
-    sure = of_one_marker(frames.seen)
-    return replace(frames, seen=lit_by_place(frames.seen, sure)).rows(sure)
+    sure = which_show_marker(frames.seen)
+    return replace(frames, seen=smooth_light_correction(frames.seen, sure)).rows(sure)
 
 
 def _track_region(video: Video, region: Region, progress: Progress | None) -> Marker:
     """Tracks a shown place, without a marker, through every frame of a video. The video is read twice: the first pass
-    learns what the place looks like along its way, and what is background. TautError where it is never found."""
+    learns what the place looks like along its way, and what is background. TautError where the second one never finds
+    it."""
     tracker = region.tracker()
     every_frame(video, tracker.track, half_progress(progress, 0.0))
     tracker.settle()
@@ -380,8 +385,8 @@ class _Frames:
     size: tuple[int, int] | None  # width, height, px
 
     def rows(self, sure: npt.NDArray[np.bool_]) -> Marker:
-        """The frames that have a time, as marker.csv's rows. sure (n,): which sightings are the marker's; the others
-        become NaN and not valid. Frames without a time are only counted, in `untimed`."""
+        """Returns the frames that have a time, as marker.csv's rows. sure (n,): which sightings are the marker's; the
+        others become NaN and not valid. Frames without a time are only counted, in `untimed`."""
         timed = np.isfinite(self.t_s)
         rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in self.seen])
         u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
@@ -389,9 +394,9 @@ class _Frames:
 
 
 def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None) -> Recording:
-    """Tracks a recording's video, if that has not been done: returns the recording with the marker's track, or with the
-    bending angle if the tip's own camera took the video. Unchanged where there is a marker.csv already, no video or no
-    camera in the rig. TautError where the video shows nothing that can be tracked."""
+    """Tracks a recording's video, if that has not been done. Returns the recording with the marker's track, or with the
+    bending angle if the tip's own camera took the video; the same recording where there is a table of it already, no
+    video, or no camera in the rig. TautError where the video shows nothing that can be tracked."""
     if rig.sees_from_tip and recording.angle is None and recording.video is not None:
         return replace(recording, angle=bending_by_scene(recording.video, recording.motor, rig, progress))
     if recording.marker is not None or recording.video is None or not rig.has_camera:
@@ -399,11 +404,12 @@ def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None
     return replace(recording, marker=track_video(recording.video, progress=progress))
 
 
-def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
-    """(n,) Which of the sightings, of n frames in order, are the marker's. Where a sighting is too far from the one
-    before for the marker's speed, something else was taken for it: the track is cut there into stretches, and the chain
-    of stretches with most frames along which a marker could go is kept. A sighting beside a lost frame is dropped if
-    its size differs from the median of the frames around it, as it may be partly hidden."""
+def which_show_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
+    """(n,) Which of the sightings, of n frames in order, show the marker. Where one is too far from the one before for
+    the marker's speed, something else was taken for it: the track is cut there, and of the stretches the chain with
+    most frames is kept along which a marker could go. A sighting beside a lost frame is dropped if its size differs
+    from the median of the frames around it, as the marker may be partly hidden. With fewer than three sightings all are
+    kept."""
     valid = np.array([s.valid for s in seen])
     place = np.array([(s.u_px, s.v_px) for s in seen])
     size = np.array([s.diameter_px for s in seen])
@@ -431,10 +437,10 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
     return valid
 
 
-def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[Sighting]:
-    """The sightings with their correction for light from one side (lit_px), which each frame tells with noise, smoothed
-    over the marker's place in the image: at one place it is the same, whichever way the marker goes. sure (n,): which
-    sightings are the marker's; the others stay as they are."""
+def smooth_light_correction(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[Sighting]:
+    """Returns the sightings with their correction for light from one side (lit_px), which each frame tells with noise,
+    smoothed over the marker's place in the image: at one place it is the same, whichever way the marker goes. sure
+    (n,): which sightings are the marker's; the others stay as they are."""
     lit = np.array([s.lit_px for s in seen])
     at = np.flatnonzero(sure)  # also frames whose own correction is 0
     if not lit[at].any():
@@ -451,30 +457,31 @@ def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[
 
 
 def _smooth_over(place: Array, values: Array, diameter_px: float) -> Array:
-    """Values (n, 2) at places (n, 2) px, smoothed by a locally linear fit: (n, 2). In each square cell of one diameter
-    the values' median is taken, and a plane through the medians around it, weighted by frames and nearness."""
+    """Smooths values (n, 2) at places (n, 2) px by a locally linear fit; returns them, (n, 2). In each square cell of
+    one diameter the values' median is taken. Through the medians around a cell a plane is fitted, weighted by frames
+    and nearness (a Gaussian of _ALIKE_LIT diameters)."""
     alike_px = _ALIKE_LIT * diameter_px
     _, cell = np.unique(np.floor(place / diameter_px), axis=0, return_inverse=True)
     cells = [np.flatnonzero(cell.ravel() == k) for k in range(int(cell.max()) + 1)]
     middle = np.array([place[own].mean(axis=0) for own in cells])
     median = np.array([np.median(values[own], axis=0) for own in cells])
     smooth = np.empty_like(values)
-    for own, here in zip(cells, middle, strict=True):
-        away = (middle - here) / alike_px
+    for own, centre in zip(cells, middle, strict=True):
+        away = (middle - centre) / alike_px
         weight = np.array([len(each) for each in cells]) * np.exp(-0.5 * np.sum(away**2, axis=1))
         rows = np.column_stack([np.ones(len(cells)), away])
         held = np.diag([0.0, 1.0, 1.0])  # prior: slopes are 0, by one frame's weight
         plane = np.linalg.solve((rows.T * weight) @ rows + held, (rows.T * weight) @ median)
-        smooth[own] = plane[0] + (place[own] - here) / alike_px @ plane[1:]
+        smooth[own] = plane[0] + (place[own] - centre) / alike_px @ plane[1:]
     return smooth
 
 
 def _outside_best_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], Array | float]) -> list[int]:
     """Indices of the stretches, each an array of frame indices, that are not in the best chain: the one with most
-    frames in which every stretch begins within reach(frames between) px of the end of the one before. place: (frames,
-    2) px. By dynamic programming."""
-    best = np.array([len(stretch) for stretch in stretches])
-    before = np.full(len(stretches), -1)
+    frames in which every stretch begins within reach(frames between) px of the end of the one before. place: (n, 2) px,
+    of all frames. By dynamic programming."""
+    best = np.array([len(stretch) for stretch in stretches])  # frames of the best chain that ends with each stretch
+    before = np.full(len(stretches), -1)  # the stretch before it in that chain
     for k, stretch in enumerate(stretches):
         for j in range(k):
             end, start = stretches[j][-1], stretch[0]

@@ -1,10 +1,10 @@
 """A place on a bare instrument, followed by what the surface around it looks like: no marker is needed.
 
 Corners around the place are found again in every frame (pyramidal Lucas-Kanade) from the nearest of several keyframes,
-not from the frame before: errors do not add up along a motion that comes back. What most of them do together, turned,
-scaled and shifted, is the instrument's motion (RANSAC); tissue that shows beside it goes otherwise and is left out.
-The place is the surface's only while that is seen: where the instrument turns another side to the camera it goes over
-to what is seen there, the same at the same bending angle.
+not from the frame before: errors do not add up along a motion that comes back. The affine motion that most of them
+follow (RANSAC) is the instrument's; tissue that shows beside it moves otherwise and is left out. Where the instrument
+turns another side to the camera, the tracker goes over to the surface that is seen there; its place is the same at the
+same bending angle.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.errors import TautError
-from tautline.vision.flow import EvenLight, Picture, corners_in, found_again
+from tautline.vision.flow import EvenLight, Picture, corners_in, track_corners
 from tautline.vision.keyframes import Keyframes
-from tautline.vision.sighting import SURE_PX, Sighting, check_in_picture, lost
+from tautline.vision.sighting import SURE_PX, Sighting, check_in_picture, lost_sighting
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -55,15 +55,16 @@ class Pose:
     a: float = 1.0  # scale * cos(turn)
     b: float = 0.0  # scale * sin(turn)
 
-    def then(self, motion: Array) -> Pose:
-        """The pose after a motion of the picture, an affine map (2, 3) of px to px: all of it moves the middle, its
-        similarity part turns and scales."""
+    def moved_by(self, motion: Array) -> Pose:
+        """Returns the pose after a motion of the picture, an affine map (2, 3) of px to px: all of it moves the
+        region's middle, its similarity part turns and scales the region."""
+        # scale * cos(turn) and scale * sin(turn) of its nearest similarity
         c, s = 0.5 * float(motion[0, 0] + motion[1, 1]), 0.5 * float(motion[1, 0] - motion[0, 1])
         u, v = motion @ (self.u, self.v, 1.0)
         return Pose(float(u), float(v), c * self.a - s * self.b, s * self.a + c * self.b)
 
-    def to(self, other: Pose) -> Array:
-        """The similarity (2, 3), of px to px, that takes this pose to the other."""
+    def motion_to(self, other: Pose) -> Array:
+        """Returns the similarity (2, 3), of px to px, that takes this pose to the other."""
         size = self.a**2 + self.b**2
         c = (other.a * self.a + other.b * self.b) / size
         s = (other.b * self.a - other.a * self.b) / size
@@ -71,7 +72,7 @@ class Pose:
 
     @property
     def size(self) -> float:
-        """Scale against the picture in which the region was shown, 1 there."""
+        """The region's scale against the picture in which it was shown, 1 there."""
         return float(np.hypot(self.a, self.b))
 
     @staticmethod
@@ -82,15 +83,16 @@ class Pose:
         return Pose(*map(float, weights @ rows / weights.sum()))
 
     def square(self, side_px: float) -> Array:
-        """The corners (4, 2) px of a square of side_px in the region's place, turned as it is, but not scaled."""
+        """The corners (4, 2) px of a square of side_px around the region's middle, turned as the region is, but not
+        scaled."""
         corners = 0.5 * side_px * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         placed: Array = corners @ np.array([[self.a, self.b], [-self.b, self.a]]) / self.size + (self.u, self.v)
         return placed
 
-    def unlike(self, other: Pose, side_px: float) -> float:
+    def difference_to(self, other: Pose, side_px: float) -> float:
         """How different the region looks in two poses: a distance by turn, scale and shift, without unit; from 1 on a
-        new keyframe is taken. side_px: of the region."""
-        motion = self.to(other)
+        new keyframe is taken. side_px: side of the region."""
+        motion = self.motion_to(other)
         turn = np.degrees(np.arctan2(motion[1, 0], motion[0, 0]))
         scale = np.log(np.hypot(motion[1, 0], motion[0, 0]))
         away = np.hypot(other.u - self.u, other.v - self.v) / (_AWAY * side_px)
@@ -98,7 +100,7 @@ class Pose:
 
 
 class _Keyframe:
-    """What the region and its surroundings looked like once, and the corners in it."""
+    """What the region and its surroundings looked like at one pose, and the corners in the region."""
 
     def __init__(self, cut: Picture, corner: Array, pose: Pose, side_px: float) -> None:
         """Finds the corners in the region's square. cut: the part of a grey picture around the region; corner (2,): the
@@ -113,14 +115,14 @@ class _Keyframe:
         self._tried, self._met = np.zeros((2, len(self.corners)))
 
     @classmethod
-    def of(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
-        """A keyframe of the region as a picture shows it at this pose. It keeps a part of the picture that holds the
-        region however it is turned (1.5 sides), and a margin."""
+    def from_picture(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
+        """Makes a keyframe of the region as a picture shows it at this pose. It keeps a part of the picture that holds
+        the region however it is turned (1.5 sides), and a margin."""
         long = int(1.5 * side_px + 2.0 * _MARGIN_PX)
         return cls(*light.cut(pose.u, pose.v, (min(long, light.shape[0]), min(long, light.shape[1]))), pose, side_px)
 
     def turned(self, turn_deg: float) -> _Keyframe:
-        """The keyframe as it would look with the region turned by turn_deg about its middle."""
+        """Returns the keyframe as it would look with the region turned by turn_deg about its middle."""
         pose = self.pose
         middle = (pose.u - float(self.corner[0]), pose.v - float(self.corner[1]))
         warp = cv2.getRotationMatrix2D(middle, -turn_deg, 1.0)  # its angles are against ours, which go from u to v
@@ -132,45 +134,45 @@ class _Keyframe:
 
     @property
     def square(self) -> Picture:
-        """The square around the region's middle, upright in the picture, (side, side) grey levels, for template
-        matching."""
+        """The square of the region's side around its middle, upright in the picture, (side, side) grey levels, for
+        template matching."""
         side = max(int(self._side_px), 2)
         middle = self.pose.u - float(self.corner[0]), self.pose.v - float(self.corner[1])
         return np.asarray(cv2.getRectSubPix(self.picture, (side, side), middle), dtype=np.uint8)
 
-    def seen_at(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
-        """The region's pose in another picture by this keyframe's corners, of which those count that follow one affine
-        motion (RANSAC), and the standard deviation of its middle, px per coordinate. None where too few corners do.
-        expected: the pose about which they are looked for. If the region has moved since the keyframe, it is counted
-        which corners went along, for `settle`."""
-        motion = self.pose.to(expected)
+    def locate(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
+        """Finds the region in another picture by this keyframe's corners, looked for around the pose `expected`.
+        Returns its pose, by the corners that follow one affine motion (RANSAC), and the standard deviation of its
+        middle, px per coordinate; None where too few corners do. Notes how many follow it, and, if the region has moved
+        since the keyframe, which, for `settle`."""
+        motion = self.pose.motion_to(expected)
         cut, corner = light.cut(expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
         if len(self.corners) < _FEWEST:
             return None
         start = (self.corners - self.corner).astype(np.float32)
         guess = (self.corners @ motion[:, :2].T + motion[:, 2] - corner).astype(np.float32)
-        there, kept = found_again(self.picture, cut, start, guess)
+        there, kept = track_corners(self.picture, cut, start, guess)
         if len(kept) < _FEWEST:
             return None
-        places, here = there[kept] + corner, self.corners[kept]
+        before, after = self.corners[kept], there[kept] + corner
         fit, inliers = cv2.estimateAffine2D(
-            here, places, method=cv2.RANSAC, ransacReprojThreshold=_TOGETHER_PX, maxIters=300
+            before, after, method=cv2.RANSAC, ransacReprojThreshold=_TOGETHER_PX, maxIters=300
         )
         together = np.flatnonzero(inliers)
         if fit is None or len(together) < max(_FEWEST, _SHARE * len(self.corners)):
             return None
         self.together = len(together)
-        pose = self.pose.then(np.asarray(fit))
+        pose = self.pose.moved_by(np.asarray(fit))
         if np.hypot(pose.u - self.pose.u, pose.v - self.pose.v) > _APART_PX:
             self._tried += 1
             self._met[kept[together]] += 1
         sigma = _sigma_of_affine(
-            np.asarray(fit, dtype=np.float64), here[together], places[together], np.array([self.pose.u, self.pose.v])
+            np.asarray(fit, dtype=np.float64), before[together], after[together], np.array([self.pose.u, self.pose.v])
         )
         return pose, max(float(np.hypot(sigma, self.off_px)), SURE_PX)
 
     def settle(self) -> bool:
-        """Drops the corners that mostly stayed behind when the region moved, as they are on the background; returns
+        """Drops the corners that mostly stayed behind when the region moved, as they are on the background. Returns
         whether enough are left for the keyframe to be used."""
         own = self._met >= _OWN * self._tried
         self.corners, self._tried, self._met = self.corners[own], self._tried[own], self._met[own]
@@ -179,12 +181,12 @@ class _Keyframe:
 
 class PatchTracker:
     """Follows a region that was shown in one picture: `track` gives the place of its middle, as a marker's tracker
-    does. Some 1.6 ms a frame while it is followed.
-    """
+    does. Takes some 1.6 ms a frame while the region is followed."""
 
     def __init__(self, picture: Picture, at: tuple[float, float], side_px: float = USUAL_PX) -> None:
-        """picture: BGR, in which the region is a square of side_px around `at`, px. It should lie on the instrument's
-        tip with as little background as possible. TautError where there is nothing to follow."""
+        """Takes the first keyframe. picture: BGR (height, width, 3) uint8, in which the region is a square of side_px
+        around `at` (u, v), px. It should lie on the instrument's tip with as little background as possible. TautError
+        where the region has no such size, is outside of the picture, or shows nothing to follow."""
         if not SMALLEST_PX <= side_px <= LARGEST_PX:
             raise TautError(
                 f"a region of {side_px:g} px: between {SMALLEST_PX:g} and {LARGEST_PX:g} px can be followed"
@@ -192,7 +194,7 @@ class PatchTracker:
         height, width = picture.shape[:2]
         check_in_picture(at, width, height)
         self.side_px, self._shape = side_px, picture.shape[:2]
-        self._first = _Keyframe.of(EvenLight(picture), Pose(*at), side_px)
+        self._first = _Keyframe.from_picture(EvenLight(picture), Pose(*at), side_px)
         if len(self._first.corners) < _FEWEST:
             raise TautError(
                 f"around {at[0]:g}, {at[1]:g} px there is hardly anything to follow: show a place with structure, or a "
@@ -202,8 +204,8 @@ class PatchTracker:
         self._poses: deque[Pose] = deque(maxlen=2)  # in the last frames; empty where it was lost
 
     def settle(self) -> None:
-        """Ends learning, after a motion: adjusts the keyframes to each other and drops corners of the background. The
-        next picture may be any, such as the motion's first again."""
+        """Ends learning, after a motion: adjusts the keyframes to each other and drops corners of the background, and
+        keyframes that have too few others. The next picture may be any, such as the motion's first again."""
         shifted = self._keyframes.settle()
         if shifted is not None:
             for key, (u, v), off_px in zip(self._keyframes.keys, *shifted, strict=True):
@@ -213,8 +215,9 @@ class PatchTracker:
         self._poses.clear()
 
     def track(self, picture: Picture) -> Sighting:
-        """The region's middle, px, and its side as diameter_px, in the next frame, BGR (height, width, 3) uint8; lost
-        where it is not found. TautError where the frame has not the size that the region was shown in."""
+        """Finds the region in the next frame, BGR (height, width, 3) uint8: near where it should be, else in the whole
+        frame. Returns its middle, px, and its side as diameter_px; lost where it is not found. TautError where the
+        frame has not the size of the picture that the region was shown in."""
         if picture.shape[:2] != self._shape:
             (height, width), (shown_height, shown_width) = picture.shape[:2], self._shape
             raise TautError(
@@ -227,23 +230,23 @@ class PatchTracker:
             self._poses.clear()
             found = self._search(light)
         if found is None:
-            return lost("the region is not found")
+            return lost_sighting("the region is not found")
         pose, sigma = found
         self._poses.append(pose)
         return Sighting(pose.u, pose.v, sigma, self.side_px * pose.size)
 
     @property
     def _expected(self) -> Pose:
-        """The pose in the next frame if the motion goes on as before."""
+        """The pose in the next frame if the last step is repeated; needs a pose of the last frame."""
         before, last = self._poses[0], self._poses[-1]
-        return last.then(before.to(last))
+        return last.moved_by(before.motion_to(last))
 
     def _pose_by_nearest(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
         """The region's pose and its sigma, px per coordinate, by the nearest keyframes that find it near `expected`,
         weighted by nearness; None where none does. While learning, the difference of two keyframes is noted, and a
-        keyframe is added where the nearest one is far or few of its corners are found."""
-        away = [key.pose.unlike(expected, self.side_px) for key in self._keyframes.keys]
-        found = self._keyframes.nearest(away, lambda key: key.seen_at(light, expected), beyond=True)
+        keyframe is added where the nearest one is far, or less far but finds few of its corners."""
+        away = [key.pose.difference_to(expected, self.side_px) for key in self._keyframes.keys]
+        found = self._keyframes.nearest(away, lambda key: key.locate(light, expected), beyond=True)
         if not found:
             return None
         if len(found) == 2:
@@ -253,14 +256,15 @@ class PatchTracker:
         nearest = int(np.argmin(away))
         fades = away[nearest] > _LEAST and self._keyframes.keys[nearest].together < _FADES
         if self._keyframes.has_room and (away[nearest] > 1.0 or fades):
-            self._keyframes.keys.append(_Keyframe.of(light, mean, self.side_px))
+            self._keyframes.keys.append(_Keyframe.from_picture(light, mean, self.side_px))
         total = sum(weight for weight, _, _ in found)
+        # Sigma of the weighted mean of independent poses.
         return mean, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, (_, sigma) in found)))
 
     def _search(self, light: EvenLight) -> tuple[Pose, float] | None:
-        """The region's pose and its sigma, px per coordinate, anywhere in the frame: template matching of the keyframes
-        in the shrunk picture, then `seen_at` at the likeliest places. A keyframe that is the only one, as in another
-        video, is also tried turned. None where nothing is found."""
+        """The region's pose and its sigma, px per coordinate, anywhere in the frame: keyframes are matched as templates
+        with the shrunk picture, then located (`locate`) at the likeliest places. A keyframe that is the only one, as in
+        another video, is also tried turned. None where nothing is found."""
         small = _smaller(light.whole)
         views = self._keyframes.keys
         if len(views) == 1:
@@ -274,23 +278,24 @@ class PatchTracker:
                 ranked.append((like, _SHRINK * (np.array(place) + 0.5 * np.array(square.shape[::-1])), view))
         ranked.sort(key=lambda entry: -entry[0])
         for like, (u, v), view in ranked[:_TRIED]:
-            found = view.seen_at(light, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
+            found = view.locate(light, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
             if found is not None:
                 return found
         return None
 
 
-def _sigma_of_affine(fit: Array, here: Array, places: Array, at: Array) -> float:
+def _sigma_of_affine(fit: Array, before: Array, after: Array, at: Array) -> float:
     """The standard deviation, px per coordinate, of where an affine motion (2, 3) takes the point `at` (2,), by the
-    residuals of the corners that it was fitted to: `here` (n, 2) went to `places` (n, 2), px."""
-    residual = places - here @ fit[:, :2].T - fit[:, 2]
-    scatter = float(np.sum(residual**2)) / (2 * len(here) - 6)  # px squared; six numbers were fitted
-    away, lever = here - here.mean(axis=0), at - here.mean(axis=0)
-    spread = away.T @ away + 1e-9 * np.eye(2)
-    return float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
+    residuals of the n corners that it was fitted to: `before` (n, 2) px went to `after` (n, 2) px. It grows with the
+    distance of the point from the corners' mean (linear regression)."""
+    residual = after - before @ fit[:, :2].T - fit[:, 2]
+    scatter = float(np.sum(residual**2)) / (2 * len(before) - 6)  # px squared; six numbers were fitted
+    away, lever = before - before.mean(axis=0), at - before.mean(axis=0)
+    spread = away.T @ away + 1e-9 * np.eye(2)  # regular even where all corners are on a line
+    return float(np.sqrt(scatter * (1.0 / len(before) + lever @ np.linalg.solve(spread, lever))))
 
 
 def _smaller(grey: Picture) -> Picture:
-    """A grey picture shrunk by _SHRINK, as a lost region is looked for in it."""
+    """Returns a grey picture shrunk by _SHRINK, for the search of a lost region."""
     small = cv2.resize(grey, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8)

@@ -31,19 +31,19 @@ _TO_BGR = {  # by encoding: channels, OpenCV's conversion
 
 
 def is_topic(source: object) -> bool:
-    """Whether a camera's name means a ROS topic: ros:TOPIC."""
+    """Whether a camera's name is that of a ROS topic: ros:TOPIC."""
     return isinstance(source, str) and source.startswith(_PREFIX)
 
 
 class RosCamera(Closable):
-    """A topic's frames as they come. Arrival times are of the host's monotonic clock: a message's own stamp, where that
-    is of this machine's clock, else when it came. Use it as a context manager."""
+    """The frames of a topic as they come. Arrival times are of the host's monotonic clock: the message's stamp, if that
+    is by this machine's clock, else when the message came. Use it as a context manager."""
 
     exposure = ""
     frames = None  # how many there are: a topic does not end
 
     def __init__(self, source: str) -> None:
-        """Subscribes to the topic of ros:TOPIC, the camera's name. TautError where nobody publishes images on it."""
+        """Subscribes to the topic of `source`, ros:TOPIC. TautError where nobody publishes images on it."""
         self.name, topic = source, source.removeprefix(_PREFIX)
         self.clock = "not known before the first frame"
         self._drops = Drops()
@@ -61,8 +61,8 @@ class RosCamera(Closable):
             raise
 
     def _message_type(self, topic: str) -> str:
-        """The message class that the topic's publisher sends, "Image" or "CompressedImage" of sensor_msgs. Waits
-        _FIRST_S for a publisher; TautError where none comes, or it sends something else."""
+        """Waits up to _FIRST_S for a publisher of the topic. Returns the class of sensor_msgs that it sends, "Image" or
+        "CompressedImage". TautError where none comes, or it sends something else."""
         end = time.monotonic() + _FIRST_S
         while time.monotonic() < end:
             offered = {
@@ -77,12 +77,12 @@ class RosCamera(Closable):
 
     @property
     def dropped(self) -> int:
-        """Frames that never came, or that were not read in time."""
+        """How many frames never came, or were not read in time."""
         return self._drops.count
 
     def _on_message(self, message: Any) -> None:
-        """Callback: queues a message with its arrival time, s of the host's monotonic clock: its stamp's, if by this
-        machine's clock that is 0 to _OLDEST_S old, else now."""
+        """Callback: queues a message with its arrival time, s of the host's monotonic clock: that of its stamp, if the
+        stamp is 0 to _OLDEST_S old by this machine's clock, else now. `clock` says which."""
         now = time.monotonic()
         age_s = self._graph.age_s(message.header.stamp)
         stamped = 0.0 <= age_s < _OLDEST_S
@@ -102,8 +102,8 @@ class RosCamera(Closable):
         return self._picture(message), arrival_s
 
     def _picture(self, message: Any) -> Array:
-        """The picture in a message, BGR (height, width, 3) uint8: an Image's rows, or what a CompressedImage (which has
-        no field `encoding`) decodes to. TautError where it cannot be read."""
+        """Returns the picture of a message, BGR (height, width, 3) uint8: the rows of an Image, or what a
+        CompressedImage (which has no field `encoding`) decodes to. TautError where it cannot be read."""
         data = np.frombuffer(message.data, np.uint8)
         if not hasattr(message, "encoding"):
             decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None

@@ -1,9 +1,10 @@
-"""What an endoscope that sees the world from its own tip tells of the tip's motion: by how much the world turned.
+"""How far the tip of an endoscope that sees the world from there has turned, by how the world turns in its view.
 
 Corners all over the picture are found again from the nearest of several keyframes. What most of them do together (a
-homography, RANSAC) is the world's; tissue that moves by itself, glints that stay with the light, and what of the
-instrument is in view go otherwise. Between the directions in which they are seen lies one rotation. It is taken as if
-the world were far: where it is near, the tip's own way adds to it, by the same at the same bending angle.
+homography, RANSAC) is the world's motion; tissue that moves by itself, glints that stay with the light, and the part of
+the instrument in view move otherwise and are left out. One rotation takes the directions in which the corners were seen
+to those in which they are seen now. The world is taken to be far: where it is near, the tip's own shift adds to the
+turn, by the same amount at the same bending angle.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from tautline.errors import TautError
 from tautline.recording import Angle, Motor, Video
 from tautline.rig import Camera, Coarse, Rig
-from tautline.vision.flow import Picture, corners_in, even_light, found_again
+from tautline.vision.flow import Picture, corners_in, even_light, track_corners
 from tautline.vision.frames import Progress, every_frame, half_progress
 from tautline.vision.keyframes import Keyframes
 
@@ -37,18 +38,18 @@ _FEWEST_TURNS = 20  # tolerance: of a video
 
 @dataclass
 class _Keyframe:
-    """One picture of the world, and the corners in it."""
+    """One picture of the world, the corners in it, and the camera's turn when it was taken."""
 
     picture: Picture  # grey, in even light
     corners: Array  # (n, 2) px
     towards: Array  # (n, 3) unit vectors from the camera to the corners
     turn: Array  # (3,) rad, rotation vector from the first picture's directions to its own
     tried: Array  # (n,) pictures in which a corner was found again
-    met: Array  # (n,) and went along with most
+    met: Array  # (n,) pictures in which it also went along with most
 
     def settle(self) -> None:
         """Drops the corners that often move apart from the rest, as they are on tissue that moves by itself; keeps all
-        if too few would be left."""
+        if fewer than _FEWEST would be left."""
         own = self.met >= _OWN * self.tried
         if own.sum() >= _FEWEST:
             self.corners, self.towards, self.tried, self.met = (
@@ -58,29 +59,30 @@ class _Keyframe:
 
 @dataclass
 class SceneTracker:
-    """How far the tip's own camera has turned, from what it sees: `track` gives its turn since the first keyframe,
-    picture by picture; `settle`, after a motion, makes the keyframes agree."""
+    """Tells how far the tip's own camera has turned, from what it sees: `track` gives its turn since the first
+    keyframe, picture by picture; `settle`, after a motion, makes the keyframes agree."""
 
     camera: Camera
     _keyframes: Keyframes[_Keyframe] | None = None  # from the first picture on
     _turns: list[Array] = field(default_factory=list)  # the last two
 
     def __post_init__(self) -> None:
-        """Sets from which turn away from the nearest keyframe on, rad, a new one is taken: _STEP of the field of view's
-        diagonal."""
+        """Sets _step, rad: how far the camera has to turn from the nearest keyframe for a new one to be taken, _STEP of
+        the field of view's diagonal."""
         across = np.hypot(self.camera.width_px / self.camera.fx_px, self.camera.height_px / self.camera.fy_px)
         self._step = _STEP * 2.0 * float(np.arctan(0.5 * across))
 
     def track(self, picture: Picture) -> Array | None:
         """Returns the camera's turn since the first keyframe, a rotation vector (3,), rad; None where the scene is not
         found again. picture: the next frame, BGR (height, width, 3) uint8. As long as no frame has shown anything of
-        the first keyframe (that was dark, or covered), each frame becomes the first one anew."""
+        the first keyframe (which was dark, or covered), each frame becomes the first one anew."""
         grey = even_light(picture)
         if self._keyframes is None:
             return self._begin_anew(grey)
         expected = self._turns[-1] if self._turns else np.zeros(3)
         if len(self._turns) == 2:  # as much further as between the last two frames: R1 R0^T R1
-            expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
+            before, last = (_rotation_matrix(turn) for turn in self._turns)
+            expected = _rotation_vector(last @ before.T @ last)
         turn = self._turn_by_nearest(self._keyframes, grey, expected)
         if turn is None and (turn := self._turn_by_best(self._keyframes, grey)) is None:
             self._turns.clear()
@@ -102,14 +104,14 @@ class SceneTracker:
             shifted = self._keyframes.settle()
             if shifted is not None:
                 for key, by in zip(self._keyframes.keys, shifted[0], strict=True):
-                    key.turn = _vector(_matrix(by) @ _matrix(key.turn))
+                    key.turn = _rotation_vector(_rotation_matrix(by) @ _rotation_matrix(key.turn))
             for key in self._keyframes.keys:
                 key.settle()
         self._turns.clear()
 
     def _keyframe(self, grey: Picture, turn: Array) -> _Keyframe:
-        """A keyframe of a grey picture, which the camera took at this turn (3,) rad, with its best corners, none within
-        _BORDER_PX of the border."""
+        """Makes a keyframe of a grey picture, which the camera took at this turn (3,) rad, with its best corners, none
+        of them within _BORDER_PX of the border."""
         mask = np.zeros_like(grey)
         mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 255
         corners = corners_in(grey, mask, _CORNERS, _APART)
@@ -125,23 +127,24 @@ class SceneTracker:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def _turn_by_keyframe(self, key: _Keyframe, grey: Picture, expected: Array) -> tuple[Array, int] | None:
-        """The camera's turn (3,) rad in a grey picture by one keyframe's corners, and how many of them it is by: those
-        that follow one homography (RANSAC). None where too few do. expected: (3,) rad, the turn at which the corners
-        are looked for. Counts for each corner whether it went along."""
-        ahead = key.towards @ (_matrix(expected) @ _matrix(key.turn).T).T  # (n, 3) directions of its corners, then
-        if not len(ahead):
+        """The camera's turn (3,) rad in a grey picture by one keyframe's corners, and how many of them tell it: those
+        that follow one homography (RANSAC). None where too few do. expected (3,) rad: the turn at which they are looked
+        for. Counts, for `settle`, which corners were found and which followed it."""
+        # (n, 3) Directions in which the corners are seen if the camera is at the turn `expected`.
+        directions = key.towards @ (_rotation_matrix(expected) @ _rotation_matrix(key.turn).T).T
+        if not len(directions):
             return None
         guess, _ = cv2.projectPoints(
-            ahead, np.zeros(3), np.zeros(3), self.camera.matrix, np.array(self.camera.distortion)
+            directions, np.zeros(3), np.zeros(3), self.camera.matrix, np.array(self.camera.distortion)
         )
         guess = guess.reshape(-1, 2)
         size = np.array([grey.shape[1], grey.shape[0]])
         # 0.1: what is nearly across the line of sight or behind has no place in the picture.
-        shown = np.flatnonzero((ahead[:, 2] > 0.1) & (guess > 0.0).all(axis=1) & (guess < size).all(axis=1))
+        shown = np.flatnonzero((directions[:, 2] > 0.1) & (guess > 0.0).all(axis=1) & (guess < size).all(axis=1))
         if len(shown) < _FEWEST:
             return None
         start = key.corners[shown].astype(np.float32)
-        there, kept = found_again(key.picture, grey, start, guess[shown].astype(np.float32))
+        there, kept = track_corners(key.picture, grey, start, guess[shown].astype(np.float32))
         if len(kept) < _FEWEST:
             return None
         one, other = key.towards[shown[kept]], self._directions(there[kept].astype(float))
@@ -152,12 +155,13 @@ class SceneTracker:
             return None
         key.tried[shown[kept]] += 1
         key.met[shown[kept[together]]] += 1
-        return _vector(_rotation_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
+        since = _rotation_between(one[together], other[together])
+        return _rotation_vector(since @ _rotation_matrix(key.turn)), len(together)
 
     def _turn_by_nearest(self, keyframes: Keyframes[_Keyframe], grey: Picture, expected: Array) -> Array | None:
-        """The camera's turn (3,) rad by the keyframes nearest to the turn `expected` (3,), weighted by nearness; None
-        where none of them finds the scene. While learning, the difference of two keyframes is noted, and a keyframe is
-        added where the nearest one is far."""
+        """The camera's turn (3,) rad by the keyframes nearest to the turn `expected` (3,), rad, weighted by nearness;
+        None where none of them finds the scene. While learning, the difference of two keyframes is noted, and a
+        keyframe is added where the nearest one is far."""
         away = np.array([np.linalg.norm(_relative_turn(key.turn, expected)) for key in keyframes.keys]) / self._step
         found = keyframes.nearest(away.tolist(), lambda key: self._turn_by_keyframe(key, grey, expected))
         if not found:
@@ -166,14 +170,15 @@ class SceneTracker:
         for other_weight, second, (other, _) in others:
             by = _relative_turn(turn, other)
             keyframes.note(first, second, -by)
-            turn = _vector(_matrix(other_weight / (weight + other_weight) * by) @ _matrix(turn))
+            part = other_weight / (weight + other_weight) * by  # of the way to the other keyframe's turn
+            turn = _rotation_vector(_rotation_matrix(part) @ _rotation_matrix(turn))
         if keyframes.has_room and away.min() > 1.0:
             keyframes.keys.append(self._keyframe(grey, turn))
         return turn
 
     def _turn_by_best(self, keyframes: Keyframes[_Keyframe], grey: Picture) -> Array | None:
-        """The camera's turn (3,) rad where it may be anywhere: by the keyframe that finds most of its corners again,
-        each tried as if the camera were back at its turn. None where none finds the scene."""
+        """The camera's turn (3,) rad where it may be anywhere: by the keyframe that finds most of its corners again.
+        Each is tried as if the camera were back at the keyframe's turn. None where none finds the scene."""
         seen = [self._turn_by_keyframe(key, grey, key.turn) for key in keyframes.keys]
         found = max((one for one in seen if one is not None), key=lambda one: one[1], default=None)
         return None if found is None else found[0]
@@ -186,12 +191,12 @@ def _rotation_between(one: Array, other: Array) -> Array:
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
-def _matrix(turn: Array) -> Array:
+def _rotation_matrix(turn: Array) -> Array:
     """The rotation matrix (3, 3) of a rotation vector (3,) rad."""
     return np.asarray(cv2.Rodrigues(np.asarray(turn, dtype=float))[0])
 
 
-def _vector(rotation: Array) -> Array:
+def _rotation_vector(rotation: Array) -> Array:
     """The rotation vector (3,) rad of a matrix (3, 3)."""
     turn: Array = np.asarray(cv2.Rodrigues(rotation)[0], dtype=float).ravel()
     return turn
@@ -199,13 +204,13 @@ def _vector(rotation: Array) -> Array:
 
 def _relative_turn(one: Array, other: Array) -> Array:
     """(3,) rad Rotation vector that takes the turn `one` to `other`, rotation vectors (3,) rad too."""
-    return _vector(_matrix(other) @ _matrix(one).T)
+    return _rotation_vector(_rotation_matrix(other) @ _rotation_matrix(one).T)
 
 
 def bending_by_scene(video: Video, motor: Motor, rig: Rig, progress: Progress | None = None) -> Angle:
-    """The tip's bending angle over a video that its own camera took (see `angle_of`), from how the camera turned. The
-    video is read twice: the first pass learns the keyframes. TautError where frames have another size than the rig's,
-    or the scene is not found from frame to frame."""
+    """Measures the tip's bending angle over a video that its own camera took (see `angle_of`), from how the camera
+    turned. The video is read twice: the first pass learns the keyframes. TautError where frames have another size than
+    the rig's, or fewer than _FEWEST_TURNS frames find the scene."""
     assert rig.camera is not None
     tracker, rig_size = SceneTracker(rig.camera), (rig.camera.width_px, rig.camera.height_px)
     size = every_frame(video, tracker.track, half_progress(progress, 0.0))[2]
@@ -227,13 +232,13 @@ def bending_by_scene(video: Video, motor: Motor, rig: Rig, progress: Progress | 
 
 
 def angle_of(t_s: Array, turns: Array, motor: Motor, coarse: Coarse, delay_s: float) -> Angle:
-    """The bending angle, deg, by the camera's turns (n, 3), rotation vectors in rad (NaN: not found), of frames that
-    arrived at t_s (n,): the component along the axis about which it turns most. A turn has no sign nor zero of bending:
-    these are chosen so that the angle goes with the coarse law of the motor, delay_s before arrival, and has its
-    mean."""
+    """Returns the bending angle, deg, by the camera's turns (n, 3), rotation vectors in rad (NaN: not found), of frames
+    that arrived at t_s (n,): the component along the axis about which the camera turns most. A turn tells neither sign
+    nor zero of bending: these are chosen so that the angle goes with the coarse law of the motor, delay_s before
+    arrival, and has the same mean."""
     seen = np.asarray(np.isfinite(turns).all(axis=1))
     middle = np.median(turns[seen], axis=0)
-    axis = np.linalg.svd(turns[seen] - middle, full_matrices=False)[2][0]
+    axis = np.linalg.svd(turns[seen] - middle, full_matrices=False)[2][0]  # first principal component
     along = np.degrees((turns - middle) @ axis)
     expected = coarse.gain * np.interp(t_s - delay_s, motor.t_s, motor.q) + coarse.offset
     if np.sum((along * (expected - expected[seen].mean()))[seen]) < 0.0:

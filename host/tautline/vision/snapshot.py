@@ -1,4 +1,4 @@
-"""One picture of what the camera saw, with the way that the marker took: what a person looks at first."""
+"""One picture of what the camera saw, with the marker's way drawn into it, for a person to look at first."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ _WAY, _RING = (178, 111, 31), (44, 32, 179)  # BGR: the reports' blue and red
 
 
 def snapshot(recording: Recording) -> Array | None:
-    """A picture for a report: a frame of the recording, BGR (height, width, 3) uint8, with the marker's places drawn
-    into it and a box around nearly all of them (99 %, and 20 px more). None where the recording has no frame."""
+    """Returns a picture for a report: a frame of the recording, BGR (height, width, 3) uint8, with the marker's places
+    drawn into it and a box around nearly all of them (99 % of each coordinate, and 20 px more). None where the
+    recording has no frame."""
     picture = _kept_or_middle_frame(recording)
     if picture is None:
         return None
@@ -34,8 +35,8 @@ def snapshot(recording: Recording) -> Array | None:
 
 
 def _kept_or_middle_frame(recording: Recording) -> Array | None:
-    """The picture that the recording keeps, or a frame from the middle of its video, BGR (height, width, 3) uint8; None
-    where there is neither, or it cannot be read."""
+    """Returns the picture that the recording keeps, else a frame from the middle of its video, BGR (height, width, 3)
+    uint8. None where there is neither, or it cannot be read."""
     if recording.picture is not None:
         picture = cv2.imread(str(recording.picture), cv2.IMREAD_COLOR)
         return None if picture is None else np.asarray(picture)

@@ -1,4 +1,4 @@
-"""When a simulated camera shows what: steady or jittering frames, delayed, some of them lost."""
+"""When a simulated camera shows what: frames at a steady rate, delayed, with jitter, some of them lost."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from tautline.rig import Rig
 class FrameTiming:
     """Frame k shows the scene at (k + phase) / rate_hz, the middle of its exposure, and arrives delay_s later.
 
-    jitter_s (rms) is in the arrival only; frames still arrive in order. `lost` is the share that never arrives.
-    phase is a share of the frame period; None takes it from the seed: motor and frame clock are incommensurate.
+    jitter_s (rms) is in the arrival only; frames still arrive in order. `lost` is the share of frames that never
+    arrive. phase is a share of the frame period; None draws it from the seed, as motor and frame clock are not in step.
     """
 
     rate_hz: float
@@ -27,8 +27,8 @@ class FrameTiming:
 
     @classmethod
     def of(cls, rig: Rig, **changes: float | int | None) -> FrameTiming:
-        """The timing with the rig's nominal rate (25 Hz without a camera) and delay. changes: other values of fields,
-        by name."""
+        """Returns the timing with the rig's nominal rate (25 Hz without a camera) and delay. changes: other values of
+        fields, by name."""
         rate_hz = rig.camera.frame_rate_hz if rig.camera else 25.0
         nominal = {"rate_hz": rate_hz, "delay_s": rig.delay_s}
         return cls(**{**nominal, **changes})  # type: ignore[arg-type]
