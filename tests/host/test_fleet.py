@@ -204,6 +204,29 @@ def test_a_second_run_does_only_what_is_new(fleet):
     ]
 
 
+def test_recordings_of_two_rigs_are_no_session(fleet):
+    session = fleet / "in" / "r0000" / "00"
+    parts = [session.with_name("mixed") / name for name in ("one", "two")]
+    for part, gain in zip(parts, (1.0, 1.1), strict=True):
+        shutil.copytree(session, part)
+        rig = robots.reference_rig()
+        replace(rig, coarse=replace(rig.coarse, gain=gain * rig.coarse.gain)).save(part / "rig.toml")
+    mixed = next(row for row in again(fleet).rows if row.session == "mixed")
+    assert mixed.error == "two: its rig.toml differs from the session's: make it another session"
+
+
+def test_sessions_that_cannot_be_read_are_done_too(fleet):
+    (fleet / "in" / "r0000" / "empty").mkdir()
+    (fleet / "in" / "r0003" / "new").mkdir()
+    for file in (fleet / "in" / "r0000" / "00").iterdir():
+        shutil.copy(file, fleet / "in" / "r0003" / "new")
+    told = []
+    with pool(1, None) as here:
+        run(fleet / "in", fleet / "out", here, lambda share, text: told.append((share, text)))
+    assert told[-1][0] == 1.0
+    assert any(text.startswith("r0000/empty: holds no motor.csv") for _, text in told)
+
+
 def test_a_run_that_is_stopped_keeps_what_was_done(fleet):
     shutil.rmtree(fleet / "out")
 

@@ -184,10 +184,11 @@ def options_given(*names: str) -> list[str]:
     ]
 
 
-def refuse_live_options(*more: str, because: str) -> None:
+def refuse_live_options(*more: str, because: str, used: str = "") -> None:
     """Raises a UsageError if an option of LiveOptions, or of the parameters named in `more`, was given in the command
-    line; for a run that is not live. because: the end of the error's text."""
-    if unused := options_given(*(field.name for field in fields(LiveOptions)), *more):
+    line; for a run that is not live. because: the end of the error's text; used: a parameter that this run uses."""
+    live = (field.name for field in fields(LiveOptions) if field.name != used)
+    if unused := options_given(*live, *more):
         raise click.UsageError(f"only a live run uses {', '.join(unused)}: {because}")
 
 

@@ -103,6 +103,7 @@ def command(
     if simulator is not None:
         if is_live:
             raise click.UsageError("--simulator needs recordings: name them")
+        refuse_live_options("most", "kept", "seed", because="leave them out", used="camera")
         robots = [path for path in (calibration_path, *test_paths) if path is not None]
         diagnosis = _diagnose_simulator(
             simulator, actuator, tip, live.camera, scale, workers=workers, paths=robots, rig_path=rig_path, out=out

@@ -56,14 +56,16 @@ def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
 
     def pending() -> Iterator[tuple[str, tuple[Row, dict[str, bytes]]]]:
         """Yields each session to calibrate: its id, and the arguments of `calibrate_session`. A session whose row is up
-        to date is only counted in `known`; one that cannot be read is appended to `waiting`, as a row with the
-        error."""
+        to date is only counted in `known`, as is one that cannot be read, whose row with the error is appended to
+        `waiting`."""
         nonlocal known
         for session in sessions:
             try:
                 files = session.files()
             except TautError as error:  # concerns this session alone: the run goes on
                 waiting.append(replace(empty[session.id], error=str(error)))
+                known += 1
+                progress((known + done) / total, f"{session.id}: {error}")
                 continue
             inputs = digest(files, MADE_BY)
             if session.id in rows and rows[session.id].inputs == inputs:

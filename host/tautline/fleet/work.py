@@ -45,6 +45,8 @@ def _calibrate_files(row: Row, folder: Path) -> Row:
         own = folder / RIG_FILE
         rig = Rig.load(own if own.is_file() else paths[0] / RIG_FILE)
         given = load_all(paths, rig)
+        if other := next((each.name for each in given if each.rig is not None and each.rig != rig), None):
+            raise TautError(f"{other}: its {RIG_FILE} differs from the session's: make it another session")
         check_distinct(given)
         recordings = [with_marker(recording, rig) for recording in given]
         motion_s = sum(float(np.ptp(recording.motor.t_s)) for recording in recordings)

@@ -160,12 +160,13 @@ def _verdict_on_stretch(
 
 def _calibrated_leaves_less(case: Case, fit: LawFit) -> bool:
     """Whether the calibrated law, where another is in use, holds again in the last LATELY strokes: its level there is
-    at most EXPLAINED, or _AGAIN[0] times that of the best fit; the law in use has more than _AGAIN[1] times that level,
-    and no less on any of these strokes. The tip must have turned, and been where both laws differ."""
+    at most EXPLAINED times the known one, or _AGAIN[0] times that of the best fit; the law in use has more than
+    _AGAIN[1] times that level, and no less on any of these strokes. The tip must have turned, and been where both laws
+    differ."""
     if not case.turns or np.array_equal(case.theta, calibrated_theta()) or not _tells_apart(case, lately=True):
         return False
     calibrated = case.level_lately(case.z_calibrated)
-    enough = max(EXPLAINED, _AGAIN[0] * case.level_lately(fit.z))
+    enough = max(EXPLAINED * case.level, _AGAIN[0] * case.level_lately(fit.z))
     less = case.level_lately(case.z) > _AGAIN[1] * calibrated and case.lowers_each_stroke(case.z_calibrated, LATELY)
     return calibrated <= enough and less
 
