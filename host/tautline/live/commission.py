@@ -27,10 +27,8 @@ _COUNT = 1.0  # limit: count of the encoder: errors that differ by less are equa
 _GAINS = ("proportional", "integral", "derivative")
 _UNSOUND = ("OSCILLATION", "FOLLOWING", "CURRENT")  # faults that too high or too low a gain may cause
 _CENTRE, _STEP = 0.3, 0.02  # shares of the range: where steps are made, from the near end on, and how long they are
-_WAY, _SPEEDS = (
-    0.3,
-    (0.1, 0.3),
-)  # moves that show friction: their length, share of the range; their speeds, shares of the top speed
+# Moves that show friction: their length, share of the range; their speeds, shares of the top speed.
+_WAY, _SPEEDS = 0.3, (0.1, 0.3)
 _FULL_RANGE_S = 0.5  # a top speed that crosses the range in less time is taken as one that needs this time
 _EVEN = 0.02  # relative: where the set-point's rate is so near to the commanded speed, the motion is even
 _STOP_S = 0.02  # until the board has seen its stop input anew
@@ -353,9 +351,9 @@ def _fit_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[flo
         equations = np.column_stack([np.full(len(speed), np.sign(mean_speed)), speed, acceleration, mean_duty])
         is_sliding = speed * np.sign(mean_speed) >= abs(mean_speed) / 2
         rows.append(equations[1:-1][is_sliding[1:-1]])  # without the ends, whose acceleration is one-sided
-    kept = np.concatenate(rows)
-    friction, slope, _ = np.linalg.lstsq(kept[:, :3], kept[:, 3], rcond=None)[0]
-    return float(friction), float(slope)
+    system = np.concatenate(rows)
+    friction, s_per_count, _ = np.linalg.lstsq(system[:, :3], system[:, 3], rcond=None)[0]
+    return float(friction), float(s_per_count)
 
 
 # -- servo gains ------------------------------------------------------------------------------------------------------

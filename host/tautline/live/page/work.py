@@ -56,7 +56,7 @@ class Work(Protocol):
 
 @dataclass
 class _OnSetUp:
-    """What every work on a live set-up does alike."""
+    """What every work on a live set-up has in common."""
 
     live: Live
 
@@ -252,8 +252,8 @@ def attend(
     say: Callable[[str], None] = lambda text: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """The session's main loop: runs the work whenever the page asks for it, until `over()` is true, or Ctrl-C comes
-    while nothing runs. What came of each run goes to the page and to `say`."""
+    """Runs the session's main loop: the work whenever the page asks for it, else its `idle`; until `over()` is true, or
+    Ctrl-C comes while nothing runs. What came of each run goes to the page and to `say`."""
     try:
         while not over():
             if desk.begun:
@@ -268,7 +268,8 @@ def attend(
 
 
 def _run_once(desk: Desk, work: Work) -> str:
-    """Runs the work once. Returns what came of it, in words: its own, "stopped", or an error's text."""
+    """Runs the work once. Returns what came of it, in words: the work's own result, "stopped", or the text of a
+    TautError."""
     try:
         desk.check_stop()  # that came before it began
         return work.run(desk)
