@@ -36,7 +36,7 @@ _LATENCY_S = 0.4  # from an onset until the board has confirmed it
 _MOST_PASSES = 4
 _FRAMES_A_STROKE = 6  # in which the tip moves, at least
 _STROKES = (1, 6)  # there and back, at least and at most
-_AIM = 0.9  # strokes aim at this share of the goal, or a little place beside them would need the next round
+_AIM = 0.9  # share of the goal above which a place is measured further: else its neighbour would need the next round
 FEWEST = 2  # rounds that are made before a calibration gives up
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2

@@ -47,7 +47,7 @@ class Bending:
         share = np.clip(np.sum(from_start * self._segments, axis=1) / self._squared_lengths, 0.0, 1.0)
         distance = from_start - share[:, None] * self._segments
         k = int(np.argmin(np.sum(distance * distance, axis=1)))
-        return _finite_or_none(float(self._c_deg[k] + share[k] * (self._c_deg[k + 1] - self._c_deg[k])))
+        return _json_number(float(self._c_deg[k] + share[k] * (self._c_deg[k + 1] - self._c_deg[k])))
 
 
 def frame_document(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
@@ -56,11 +56,11 @@ def frame_document(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any
     seen = frame.sighting
     return {
         "t_s": frame.t_us * 1e-6,
-        "q": _finite_or_none(q),
+        "q": _json_number(q),
         "c_deg": c_deg,
-        "u_px": _finite_or_none(seen.u_px),
-        "v_px": _finite_or_none(seen.v_px),
-        "diameter_px": _finite_or_none(seen.diameter_px),
+        "u_px": _json_number(seen.u_px),
+        "v_px": _json_number(seen.v_px),
+        "diameter_px": _json_number(seen.diameter_px),
         "lost": seen.lost,
     }
 
@@ -116,7 +116,7 @@ def calibration_document(calibration: Calibration, seconds: float | None) -> dic
             {
                 "q": o.q_mean,
                 "width": o.width,
-                "sigma": _finite_or_none(o.sigma),
+                "sigma": _json_number(o.sigma),
                 "direction": o.direction,
                 "used": o.used,
             }
@@ -134,8 +134,8 @@ def backlash_document(model: Model) -> dict[str, Any]:
     return {
         "seconds": None,
         "q": q.tolist(),
-        "width": _finite_or_none_each(np.interp(q, model.q, model.width)),
-        "sigma": _finite_or_none_each(np.interp(q, model.q, model.width_sigma)),
+        "width": _json_numbers(np.interp(q, model.q, model.width)),
+        "sigma": _json_numbers(np.interp(q, model.q, model.width_sigma)),
         "measured": [low, high],
         "delay_ms": 1e3 * model.delay_s,
         "onsets": [],
@@ -166,16 +166,16 @@ def row_document(row: Row, t_s: float) -> dict[str, Any]:
     """A tracker's row at time t_s, s, as a JSON document: the state and its reason, the offset (the rig's unit) and the
     scale of B, with their sigmas."""
     numbers = {
-        name: _finite_or_none(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")
+        name: _json_number(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")
     }
     return {"t_s": t_s, "state": row.state.value, "reason": row.reason} | numbers
 
 
-def _finite_or_none_each(values: np.ndarray) -> list[float | None]:
-    """Numbers for JSON: a list with None in place of NaN and inf."""
-    return [_finite_or_none(float(value)) for value in values]
+def _json_numbers(values: np.ndarray) -> list[float | None]:
+    """Returns the numbers as a list for JSON, with None in place of NaN and inf."""
+    return [_json_number(float(value)) for value in values]
 
 
-def _finite_or_none(value: float) -> float | None:
+def _json_number(value: float) -> float | None:
     """Returns the number, None in place of NaN and inf, which JSON does not have."""
     return value if np.isfinite(value) else None
