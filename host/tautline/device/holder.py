@@ -33,7 +33,7 @@ def leave(where: str) -> None:
             note(where).unlink()
 
 
-def busy(where: str) -> str:
+def busy_in_words(where: str) -> str:
     """Returns the error's text for a board that is in use: by which process, if its note says so, and what to do."""
     held = _read_note(where)
     pid, program = held.get("pid"), held.get("program")

@@ -13,12 +13,12 @@ class BoardGone(TautError):
     """The board is not there any more, or has restarted and knows nothing of us."""
 
 
-def gone(where: str) -> BoardGone:
+def board_gone(where: str) -> BoardGone:
     """Returns the error to raise where the way to the board at the address `where` has failed."""
     return BoardGone(f"{where}: the board is gone: check plug and power, then run the command again")
 
 
-def takes_no_data(where: str) -> TautError:
+def board_takes_no_data(where: str) -> TautError:
     """Returns the error to raise where the board at the address `where` is there, but takes no more bytes."""
     return TautError(f"{where}: the board does not take data: switch it off and on")
 

@@ -18,8 +18,8 @@ from typing import Any
 import serial
 
 from tautline.device import wire
-from tautline.device.holder import busy
-from tautline.device.link import BoardAddress, BoardGone, gone, takes_no_data
+from tautline.device.holder import busy_in_words
+from tautline.device.link import BoardAddress, BoardGone, board_gone, board_takes_no_data
 from tautline.errors import TautError
 
 _WRITE_S = 1.0  # longest time to connect, or to send
@@ -74,9 +74,9 @@ class SerialLink:
         try:
             self._port.write(data)
         except (serial.SerialTimeoutException, TimeoutError) as error:
-            raise takes_no_data(self._where) from error
+            raise board_takes_no_data(self._where) from error
         except (serial.SerialException, OSError) as error:
-            raise gone(self._where) from error
+            raise board_gone(self._where) from error
 
     def read(self, timeout_s: float) -> bytes:
         """Returns the bytes that come, waiting for the first at most timeout_s; b"" where none does. BoardGone where
@@ -89,7 +89,7 @@ class SerialLink:
             self._port.timeout = 0.0
             return bytes(first + self._port.read(_READ_BYTES))
         except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed by another thread
-            raise gone(self._where) from error
+            raise board_gone(self._where) from error
 
     def tables(self, axis: int) -> None:
         """Returns None: tables travel in messages."""
@@ -125,7 +125,7 @@ def _open_line(where: str) -> Any:
         raise TautError(f"--board {where}: {error}: {_EXPECTED}") from error
     except OSError as error:  # pyserial's own is one
         if error.errno in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-            raise _Busy(busy(where)) from error
+            raise _Busy(busy_in_words(where)) from error
         if error.errno == errno.EACCES:
             mend = "sudo usermod -a -G dialout $USER"
             raise TautError(f"{where}: no permission: run '{mend}' and log in again") from error
@@ -185,7 +185,7 @@ def find_serial(where: str) -> list[BoardAddress]:
 
 def _raise_busy(where: str) -> SerialLink:
     """Raises the error that another program has the line: BoardAddress.open of a board that is in use."""
-    raise _Busy(busy(where))
+    raise _Busy(busy_in_words(where))
 
 
 def _wait_for_identity(link: SerialLink) -> wire.Message | None:

@@ -14,8 +14,8 @@ import usb.util
 
 from tautline.device import usbip_backend, wire
 from tautline.device.dfu import Dfu
-from tautline.device.holder import busy
-from tautline.device.link import BoardAddress, gone, takes_no_data
+from tautline.device.holder import busy_in_words
+from tautline.device.link import BoardAddress, board_gone, board_takes_no_data
 from tautline.errors import TautError
 
 ENVIRONMENT = "TAUTLINE_BOARD"
@@ -79,14 +79,14 @@ class UsbLink:
     def _error_with_remedy(self, error: usb.core.USBError) -> TautError:
         """Returns the TautError to raise for a USB error, with its remedy; BoardGone where the device is gone."""
         if error.errno in (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.ENOENT):
-            return gone(self._where)
+            return board_gone(self._where)
         if error.errno == errno.EBUSY:
-            return TautError(busy(self._where))
+            return TautError(busy_in_words(self._where))
         if error.errno == errno.EACCES:
             mend = "sudo cp tools/70-tautline.rules /etc/udev/rules.d/"
             return TautError(f"{self._where}: no permission: run '{mend}' and plug the board in again")
         if error.errno == errno.ETIMEDOUT:
-            return takes_no_data(self._where)
+            return board_takes_no_data(self._where)
         return TautError(f"{self._where}: USB failed ({error}): unplug the board and plug it in again")
 
 

@@ -60,7 +60,7 @@ def _configuration_descriptor(raw: bytes) -> _Descriptor:
     owner = root
     at = raw[0]
     while at + 2 <= len(raw) and raw[at] >= 2:
-        length, kind = raw[at], raw[at + 1]
+        length, kind = raw[at], raw[at + 1]  # as every descriptor begins
         part = raw[at : at + length]
         if kind == _INTERFACE_TYPE and length >= 9:
             names = (

@@ -95,13 +95,13 @@ class _Telemetry:
 def _recording_telemetry(live: Live) -> Iterator[_Telemetry]:
     """A context within which the axis sends telemetry each millisecond; yields the _Telemetry that keeps it. Afterwards
     the axis sends none."""
-    tape = _Telemetry(live.axis)
-    live.board.listen("batch", tape.take)
+    telemetry = _Telemetry(live.axis)
+    live.board.listen("batch", telemetry.take)
     try:
         live.board.ask("telemetry", axis=live.axis, divider=1)
-        yield tape
+        yield telemetry
     finally:
-        live.board.forget("batch", tape.take)
+        live.board.forget("batch", telemetry.take)
         with contextlib.suppress(TautError):  # gone
             live.board.ask("telemetry", axis=live.axis, divider=0)
 
@@ -149,8 +149,8 @@ def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, given:
     _require_agreement(agree, "The motor moves over a third of its range, then in quick steps. May it?")
     with _at_full_drive(live, ranged):
         try:
-            with _recording_telemetry(live) as tape:
-                _measure_drive_law(live, tape, commissioned, homing.direction)
+            with _recording_telemetry(live) as telemetry:
+                _measure_drive_law(live, telemetry, commissioned, homing.direction)
                 say(
                     f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full "
                     f"drive; current up to {commissioned.current_ma} mA, "
@@ -161,7 +161,7 @@ def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, given:
                         f"the board takes a feed-forward of {wire.wire.GAIN_MAX} at most, and this motor asks for "
                         f"{_feed_forward(commissioned.speed_s)}: the servo's integral has to do the rest"
                     )
-                _tune_gains(live, tape, commissioned, homing.direction, say)
+                _tune_gains(live, telemetry, commissioned, homing.direction, say)
         finally:
             with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
                 board.ask("servo", **_servo_fields(commissioned.before))
@@ -190,13 +190,13 @@ def _commission_drive(live: Live, agree: Agree, say: Say, given: dict[str, Any])
         agree,
         f"The motor moves over a third of its range, from {start:.4g} {actuator.unit}, then in quick steps. May it?",
     )
-    with _recording_telemetry(live) as tape:
+    with _recording_telemetry(live) as telemetry:
         with driving(live):
             for target in (start, start - direction * _WAY * actuator.span, start):
                 move_to(live, target, min(_SPEEDS[-1] * actuator.span / _FULL_RANGE_S, live.top_speed))
                 seen_ma = abs(board.status(axis).current_ma)
                 commissioned.current_ma = max(commissioned.current_ma, seen_ma)
-        step = _step_responses(live, tape, start, direction, commissioned.before["arrive"])
+        step = _step_responses(live, telemetry, start, direction, commissioned.before["arrive"])
     commissioned.steps[1.0] = step
     say(
         f"the drive follows {1e3 * board.bus()['lag_s']:.1f} ms behind its set-points, which is planned for: off by "
@@ -300,7 +300,7 @@ def _servo_fields(settings: dict[str, Any]) -> dict[str, Any]:
 # -- friction and speed -----------------------------------------------------------------------------------------------
 
 
-def _measure_drive_law(live: Live, tape: _Telemetry, commissioned: Commissioned, direction: int) -> None:
+def _measure_drive_law(live: Live, telemetry: _Telemetry, commissioned: Commissioned, direction: int) -> None:
     """Measures friction, a share of full drive, free speed, counts/s, and current, mA, by moves at two speeds in both
     directions; sets them, and the feed-forward that follows, in `commissioned`. Speeds are taken from the encoder, as
     with gains that are not tuned yet the motor oscillates about its path. direction: -1 or 1, in which the nearer end
@@ -311,10 +311,10 @@ def _measure_drive_law(live: Live, tape: _Telemetry, commissioned: Commissioned,
         for share in _SPEEDS:
             speed = share * min(live.top_speed, span / _FULL_RANGE_S)
             for target in (start - direction * _WAY * span, start):
-                tape.clear()
+                telemetry.clear()
                 move_to(live, target, speed)
                 commissioned.current_ma = max(commissioned.current_ma, abs(live.board.status(live.axis).current_ma))
-                t, q, q_ref, duty = tape.read()
+                t, q, q_ref, duty = telemetry.read()
                 reference_speed = np.abs(np.gradient(q_ref, t))
                 even = np.flatnonzero(
                     np.abs(reference_speed - speed / live.resolution) < _EVEN * speed / live.resolution
@@ -359,7 +359,7 @@ def _fit_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[flo
 # -- servo gains ------------------------------------------------------------------------------------------------------
 
 
-def _tune_gains(live: Live, tape: _Telemetry, commissioned: Commissioned, direction: int, say: Say) -> None:
+def _tune_gains(live: Live, telemetry: _Telemetry, commissioned: Commissioned, direction: int, say: Say) -> None:
     """Tries growing gains (`_gain_factors`) by step responses until the servo is unstable. Of those that are still
     stable at _MARGIN times the gains it chooses the ones with the least rms + overshoot, counts; of several that are
     within one count of the least, the highest. Sets steps, factor and gains in `commissioned`. direction: -1 or 1, in
@@ -373,7 +373,7 @@ def _tune_gains(live: Live, tape: _Telemetry, commissioned: Commissioned, direct
         )
     for factor in factors:
         tried = commissioned.settings | _scaled_gains(commissioned.settings, factor)
-        step = _step_responses_with_gains(live, tape, tried, commissioned.q, direction)
+        step = _step_responses_with_gains(live, telemetry, tried, commissioned.q, direction)
         if step is None:
             say(f"gains x {factor:.3g}: not sound")
             break
@@ -415,14 +415,14 @@ def _scaled_gains(settings: dict[str, Any], factor: float) -> dict[str, Any]:
 
 
 def _step_responses_with_gains(
-    live: Live, tape: _Telemetry, settings: dict[str, Any], start: float, direction: int
+    live: Live, telemetry: _Telemetry, settings: dict[str, Any], start: float, direction: int
 ) -> StepResponse | None:
     """Sets the gains in `settings` on the board until its restart, and returns `_step_responses` with them. None where
     the servo is not stable, which the board sees as one of the faults _UNSOUND; that fault is cleared. TautError for
     another fault."""
     live.board.ask("servo", **_servo_fields(settings))
     try:
-        return _step_responses(live, tape, start, direction, settings["arrive"])
+        return _step_responses(live, telemetry, start, direction, settings["arrive"])
     except TautError:
         fault = live.board.status(live.axis).fault
         if fault not in [wire.code("FAULTS", name) for name in _UNSOUND]:
@@ -431,7 +431,7 @@ def _step_responses_with_gains(
         return None
 
 
-def _step_responses(live: Live, tape: _Telemetry, start: float, direction: int, arrive: float) -> StepResponse:
+def _step_responses(live: Live, telemetry: _Telemetry, start: float, direction: int, arrive: float) -> StepResponse:
     """Moves to a place _CENTRE of the range away from the nearer end, makes a step of _STEP of the range farther away
     and one back, and returns the curves of the first with the larger rms, overshoot and settling time of both. start:
     position near that end, the rig's unit; direction: -1 or 1, in which the end is; arrive: counts from the target
@@ -440,7 +440,7 @@ def _step_responses(live: Live, tape: _Telemetry, start: float, direction: int, 
     centre = start - direction * _CENTRE * span
     with driving(live):
         move_to(live, centre, 0.25 * live.top_speed)
-        steps = [_step_response(live, tape, centre + sign * _STEP * span, arrive) for sign in (-direction, 0)]
+        steps = [_step_response(live, telemetry, centre + sign * _STEP * span, arrive) for sign in (-direction, 0)]
     return replace(
         steps[0],
         rms=max(step.rms for step in steps),
@@ -449,14 +449,14 @@ def _step_responses(live: Live, tape: _Telemetry, start: float, direction: int, 
     )
 
 
-def _step_response(live: Live, tape: _Telemetry, q_to: float, arrive: float) -> StepResponse:
+def _step_response(live: Live, telemetry: _Telemetry, q_to: float, arrive: float) -> StepResponse:
     """Moves to q_to, the rig's unit, at top speed, and returns how the motor followed, from 20 ms before the set-point
     moves until _AFTER_S after it arrives. arrive: counts from the target within which the motor has arrived."""
     live.wait(_SETTLE_S)
-    tape.clear()
+    telemetry.clear()
     move_to(live, q_to, live.top_speed)
     live.wait(_SETTLE_S)
-    t, q, q_ref, _ = tape.read()
+    t, q, q_ref, _ = telemetry.read()
     origin, target = q_ref[0], q_to / live.resolution
     # When the set-point reaches its last value.
     arrived_s = t[np.flatnonzero(q_ref != q_ref[-1])[-1]] if np.ptp(q_ref) else t[0]

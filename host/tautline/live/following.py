@@ -288,7 +288,7 @@ def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, fra
         times_s, q, p, c = live.plant.truth()
         half_width = 0.5 * live.plant.instrument.backlash(p)
         keep = (times_s >= begin_s) & (times_s <= t_s[-1])
-        counted = taken_up(q[keep], p[keep], half_width[keep])
+        counted = backlash_crossed(q[keep], p[keep], half_width[keep])
         return Followed(
             times_s[keep], np.interp(times_s[keep], t_s, plan), c[keep], counted, "the simulated instrument"
         )
@@ -302,7 +302,7 @@ def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, fra
     return Followed(t_s, plan, np.full(len(t_s), np.nan), np.ones(len(t_s), dtype=bool))
 
 
-def taken_up(q: Array, p: Array, half: Array) -> Array:
+def backlash_crossed(q: Array, p: Array, half: Array) -> Array:
     """Returns for each sample (n,) whether the motor has by then driven through the backlash in both directions, that
     is, q - p has been +B/2 and -B/2. Before that the tip's place within the backlash is not known, and errors are not
     counted. q, p: motor and centre coordinate, half: B/2, (n,) each, unit of q."""

@@ -34,7 +34,7 @@ def recall(live: Live, library: Library, progress: Progress = None) -> tuple[Sha
     t_s, q = _test_motion(live, [library.model(shape.name) for shape in library.shapes])
     with tempfile.TemporaryDirectory() as folder, Recorder(live, Path(folder) / "recall") as recorder:
         follow(live, t_s, q, tip=False, seen=recorder.add, progress=progress)
-        recording = recorder.so_far()
+        recording = recorder.recording_so_far()
     return recalled(library, recording)
 
 

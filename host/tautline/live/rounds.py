@@ -246,10 +246,10 @@ def next_round(
     means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
 ) -> Round | Strokes:
     """Chooses the round after those that are `done`, which took `seconds` s. The first of these that applies: a pass at
-    the slowest speed, if `slower_tells`; a pass over the whole range, if some of it is not measured; strokes where
+    the slowest speed, if `slower_pass_tells`; a pass over the whole range, if some of it is not measured; strokes where
     sigma of B is too large for the goal `until`, unit of q, and the first time also at both ends, where a pass stays
     for a frame or two only; if these places are much of the range, as many passes over all of it as the goal needs."""
-    if slower_tells(means, standing, until, done):
+    if slower_pass_tells(means, standing, until, done):
         return _round_over(means, (min(means.speeds),))
     speed = means.speeds[len(done) % len(means.speeds)]
     if not standing.covered:
@@ -261,14 +261,14 @@ def next_round(
             tuple(_stroke_for(means, place, standing.widest, until, seconds) for place in need), means.speeds[0]
         )
     # A place's variance falls in inverse proportion to the time spent there. A pass crosses the range out and back, and
-    # at each of its turning points the backlash and the approach, there and back.
+    # at each of its turning points the backlash, the approach and what the board takes to confirm, there and back.
     approach = _APPROACH * means.span
     pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
     passes = int(np.clip(np.ceil(seconds * (variance_ratio - 1.0) / pass_s), 1, _MOST_PASSES))
     return _round_over(means, (speed,) * passes)
 
 
-def slower_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
+def slower_pass_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
     """Whether to make a pass at the slowest speed: B may depend on speed, the range is covered, the goal `until`, unit
     of q, is not reached, and no such pass was made yet. At one speed such an effect looks nearly like a delay, and what
     remains of it may be chance."""
@@ -289,7 +289,7 @@ def why_another(standing: Standing, until: float, unit: str, done: Sequence[Roun
     return f"sigma is {sigma} at {standing.where:.3g} {unit} where {wanted} is wanted"
 
 
-def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
+def no_longer_reached(best: float, standing: Standing, until: float, unit: str) -> str:
     """Returns an addition to the text on why the goal was not reached, where it had looked reached after an earlier
     round; else "". best: the smallest worst sigma after any round; until: the goal; both in unit of q."""
     if best > until or standing.reached(until):

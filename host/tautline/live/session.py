@@ -114,9 +114,10 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
 
 
 def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
-    """Checks that scale and sign in the rig are right, before a calibration motion is made: moves the motor a little in
-    both directions, and farther if the marker did not move enough, and compares the marker's motion with the motor's.
-    speed: unit/s; frames go to `seen`. TautError, with the likely reason, where the two do not fit."""
+    """Checks that scale and sign in the rig are right, before a calibration motion is made: moves the motor to both
+    sides, by a little and then farther (_PROBE_SHARES), and compares how far the marker moves with how far the motor
+    does. speed: unit/s; frames go to `seen`. TautError, with the likely reason, where the two do not fit, or the motor
+    is outside of the rig's range."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
     start = live.motor_position()
@@ -144,29 +145,30 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         c = rig.coarse.gain * np.array([q_first, q_second]) + rig.coarse.offset
         expected = np.subtract(*project(rig, c)[::-1])
         enough = _check_marker_motion(moved, expected, sigma)
-    if not enough:
-        distance, length = float(np.linalg.norm(moved)), float(np.linalg.norm(expected))
+    if not enough:  # nor after the larger moves
+        moved_px, expected_px = float(np.linalg.norm(moved)), float(np.linalg.norm(expected))
         raise TautError(
-            f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera "
-            f"looking at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash "
+            f"the motor moved {2 * reach:.3g} {unit}, the marker {moved_px:.2g} px of {expected_px:.3g}: is this camera"
+            f" looking at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash "
             "larger"
         )
 
 
 def _check_marker_motion(moved: Array, expected: Array, sigma: float) -> bool:
     """TautError where the marker moved more than _TOO_MUCH times as far as expected, or the other way. moved, expected:
-    (2,) px; sigma: standard error of `moved`, px. Returns whether it moved far enough for its direction to be told."""
-    length, distance = float(np.linalg.norm(expected)), float(np.linalg.norm(moved))
-    if distance > _TOO_MUCH * length + 10 * sigma:
+    (2,) px; sigma: standard error of the marker's place, px. Returns whether it moved far enough for its direction to
+    be told."""
+    expected_px, moved_px = float(np.linalg.norm(expected)), float(np.linalg.norm(moved))
+    if moved_px > _TOO_MUCH * expected_px + 10 * sigma:
         raise TautError(
-            f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
+            f"the marker moved {moved_px:.3g} px where f_coarse says {expected_px:.3g}: a scale is too large: check "
             "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
         )
-    along = float(moved @ expected / max(length, 1e-9))
-    enough = distance > max(_TOO_LITTLE * length, 12 * sigma)
-    if enough and along < -0.5 * distance:
+    along = float(moved @ expected / max(expected_px, 1e-9))
+    enough = moved_px > max(_TOO_LITTLE * expected_px, 12 * sigma)
+    if enough and along < -0.5 * moved_px:
         raise TautError(
-            f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
+            f"the marker moves against what f_coarse says ({along:.3g} px of {expected_px:.3g}): turn the sign of "
             "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
         )
     return enough
@@ -339,7 +341,7 @@ def check_rig(live: Live) -> None:
         )
 
 
-def thorough(live: Live, options: MotionOptions) -> Round:
+def thorough_round(live: Live, options: MotionOptions) -> Round:
     """Plans the thorough calibration motion (that of the paper), slow passes with many reversals, for this set-up; what
     `options` leave as None is chosen. TautError for speeds that the board cannot take."""
     rig = live.rig
@@ -370,7 +372,7 @@ def record_calibration(
     does not fit, or the marker was lost in most frames."""
     check_rig(live)
     options = options or MotionOptions()
-    wanted = thorough(live, options)
+    wanted = thorough_round(live, options)
     low, high, unit = wanted.low, wanted.high, live.rig.actuator.unit
     with moving(live, folder, low, high, video) as motions:
         watch = Watch(live, motions.recorder, View(low, high, unit, doing=wanted.says(unit)), show=show)

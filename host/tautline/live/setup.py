@@ -375,7 +375,7 @@ class Recorder:
         finally:
             self._paused = False
 
-    def so_far(self) -> Recording:
+    def recording_so_far(self) -> Recording:
         """Returns a Recording of what the files hold now, with the numbers as written, without reading the files. May
         be called from any thread. TautError where no telemetry or no frame came yet."""
         motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))

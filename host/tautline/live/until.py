@@ -19,8 +19,8 @@ from tautline.live.rounds import (
     first_round,
     in_words,
     next_round,
-    no_longer,
-    slower_tells,
+    no_longer_reached,
+    slower_pass_tells,
     strokes_made,
     why_another,
     why_not,
@@ -187,8 +187,9 @@ def _make_rounds(
         if view.standing.reached(until) and strokes_made(rounds):
             return rounds, ""
         why = why_not(view.standing, until, view.unit, watch.camera_view(), view.seconds, at_most_s, len(rounds))
-        if why and not (view.seconds < at_most_s and slower_tells(means, view.standing, until, rounds)):
-            return rounds, why + no_longer(best, view.standing, until, view.unit)
+        # While there is time, a slower pass that tells something is made before giving up.
+        if why and not (view.seconds < at_most_s and slower_pass_tells(means, view.standing, until, rounds)):
+            return rounds, why + no_longer_reached(best, view.standing, until, view.unit)
 
 
 def _make_round(

@@ -118,7 +118,7 @@ class Kept(Protocol):
     def motor_at(self, t_s: float) -> float:
         """The motor's position, the rig's unit, at a time, s; NaN before the first sample."""
 
-    def so_far(self) -> Recording:
+    def recording_so_far(self) -> Recording:
         """The recording so far. TautError where there is nothing yet."""
 
     def paused(self) -> AbstractContextManager[None]:
@@ -212,7 +212,7 @@ class Watch:
         """Starts the calibration of what was recorded so far: in the thread, or in virtual time at once. Returns its
         future, whose result is the calibration and the seconds of recording that it is made of. naming: whether it also
         names what departs from the model, which takes longer."""
-        recording, seconds = self._recorder.so_far(), self.view.seconds
+        recording, seconds = self._recorder.recording_so_far(), self.view.seconds
 
         def work() -> tuple[Calibration, float]:
             """Calibrates."""

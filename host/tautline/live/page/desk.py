@@ -101,7 +101,7 @@ class Desk:
             if self._state == READY:
                 self._picked = (u_px, v_px)
 
-    def here(self) -> None:
+    def note_open_page(self) -> None:
         """Notes that a page is open. Open pages say so again and again; a page that sleeps, or has lost its connection,
         does not, and counts as closed after unwatched_s."""
         with self._changed:
@@ -128,8 +128,8 @@ class Desk:
 
     @contextmanager
     def running(self, let_go: Callable[[], None]) -> Iterator[None]:
-        """A context within which what was started runs; afterwards the state is READY. let_go: brings the board to
-        rest; `stop` calls it from another thread."""
+        """A context within which what was started runs; the pages' calibration is cleared before, and the state is
+        READY afterwards. let_go: brings the board to rest; `stop` calls it from another thread."""
         with self._changed:
             self._let_go, self._calibration, self._shown_s = let_go, None, float("-inf")
         self.events.publish("fit", None)  # what was found before is not of this
@@ -158,7 +158,7 @@ class Desk:
             self._changed.wait(_REST_S)
             return True
 
-    def picked(self) -> tuple[float, float] | None:
+    def take_pick(self) -> tuple[float, float] | None:
         """Returns, once, the place (u, v), px, that was clicked since the last call; None where there was none."""
         with self._changed:
             place, self._picked = self._picked, None
@@ -185,7 +185,7 @@ class Desk:
             self.events.publish("fit", shown.calibration_document(view.calibration, view.calibrated_s))
         self.check_stop()
 
-    def doing(self, share: float, text: str) -> None:
+    def show_doing(self, share: float, text: str) -> None:
         """Publishes what is being done, in words, and the share of it that is done, 0 to 1. Raises Stopped if stop was
         pressed."""
         self.events.publish("doing", {"doing": text, "share": share})

@@ -88,7 +88,7 @@ class Played:
         motor = self._whole.motor
         return float(np.interp(t_s, motor.t_s, motor.q, left=np.nan))
 
-    def so_far(self) -> Recording:
+    def recording_so_far(self) -> Recording:
         """Returns the part of the recording up to the frame played last, with at least one sample of the motor; the
         whole recording once all frames were played."""
         if self._at + 1 >= self.frames:

@@ -112,9 +112,9 @@ class _Handler(BaseHTTPRequestHandler):
             return
         desk = self.server.desk
         orders: dict[str, Callable[[], None]] = {
-            "start": desk.start, "rest": desk.rest, "stop": desk.stop, "here": desk.here,
+            "start": desk.start, "rest": desk.rest, "stop": desk.stop, "here": desk.note_open_page,
         }  # fmt: skip
-        desk.here()
+        desk.note_open_page()
         sent = self._json_body()
         if sent is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
@@ -164,7 +164,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Connection": "close"})
         self.close_connection = True
         events, at, due_s = self.server.desk.events, 0, 0.0
-        self.server.desk.here()
+        self.server.desk.note_open_page()
         with suppress(OSError):
             while not events.closed:
                 at, fresh = events.newer(at, max(due_s - time.monotonic(), 0.0))

@@ -75,7 +75,7 @@ def progress_document(view: View) -> dict[str, Any]:
         "share": view.share,
         "rising": view.rising.tolist(),
         "falling": view.falling.tolist(),
-        "missing": missing(view),
+        "missing": missing_in_words(view),
         "onsets": [
             {"q": 0.5 * (o["q1"] + o["q2"]), "width": o["width"], "direction": o["direction"], "used": o["used"]}
             for o in view.onsets
@@ -83,7 +83,7 @@ def progress_document(view: View) -> dict[str, Any]:
     }
 
 
-def missing(view: View) -> list[str]:
+def missing_in_words(view: View) -> list[str]:
     """Says in sentences, one for each thing, what is missing for the goal of a live calibration; [] where nothing
     is."""
     unit, standing = view.unit, view.standing

@@ -97,7 +97,7 @@ class Calibrating(_OnSetUp):
 
     def idle(self, desk: Desk) -> None:
         """Shows a frame; where the picture was clicked, picks the marker's colour there."""
-        if (place := desk.picked()) is not None:
+        if (place := desk.take_pick()) is not None:
             self._pick(desk, place)
         super().idle(desk)
 
@@ -212,7 +212,7 @@ class Diagnosing(_OnSetUp):
 
         asked = diagnose_live(
             self.live, self.calibration, self.recorded[0], self.recorded[1:], self.recordings(), self.most,
-            progress=desk.doing, seen=seen, answered=answered,
+            progress=desk.show_doing, seen=seen, answered=answered,
         )  # fmt: skip
         save(asked.diagnosis, self.out)
         self.found = asked
