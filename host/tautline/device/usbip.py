@@ -228,7 +228,7 @@ class Connection:
                 if self._receiving:
                     self._changed.wait(left)
                     continue
-                self._receiving = True
+                self._receiving = True  # this thread receives for all, without holding the lock
                 self._changed.release()
                 try:
                     self.receive(left)

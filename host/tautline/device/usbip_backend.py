@@ -165,14 +165,14 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
     def _read_open_descriptors(self, dev: _Device, handle: _Handle) -> None:
         """Fills `dev` with the descriptors of the device that is open as `handle`, by control transfers."""
 
-        def descriptor(kind: int, index: int, length: int) -> bytes:
-            """The bytes of a descriptor of this type and index, `length` at most."""
+        def read_descriptor(kind: int, index: int, length: int) -> bytes:
+            """Reads the bytes of a descriptor of this type and index, `length` at most."""
             return self._control_in(handle, _DEVICE_TO_HOST, _GET_DESCRIPTOR, kind << 8 | index, 0, length)
 
-        dev.descriptor = self._with_location(_device_descriptor(descriptor(_DEVICE_TYPE, 0, 18)), dev.exported)
+        dev.descriptor = self._with_location(_device_descriptor(read_descriptor(_DEVICE_TYPE, 0, 18)), dev.exported)
         for index in range(dev.descriptor.bNumConfigurations):
-            total = _configuration_descriptor(descriptor(_CONFIGURATION_TYPE, index, 9)).wTotalLength
-            dev.configurations[index] = _configuration_descriptor(descriptor(_CONFIGURATION_TYPE, index, total))
+            total = _configuration_descriptor(read_descriptor(_CONFIGURATION_TYPE, index, 9)).wTotalLength
+            dev.configurations[index] = _configuration_descriptor(read_descriptor(_CONFIGURATION_TYPE, index, total))
         if not dev.configurations:
             raise usb.core.USBError("the device has no configuration", None, errno.EPROTO)
 

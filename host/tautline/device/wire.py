@@ -125,8 +125,8 @@ def name(list_name: str, number: int) -> str:
 
 
 def text(list_name: str, number: int) -> str:
-    """Returns the text of a number in one of tl_wire.h's lists, such as text("REASONS", 3); "code 3, unknown..." where
-    this version does not know it."""
+    """Returns the text of a number in one of tl_wire.h's lists, such as text("REASONS", 3); "code N, unknown to this
+    version of tautline" for a number N that is not in the list."""
     for value, says in getattr(wire, list_name).values():
         if value == number:
             return str(says)

@@ -170,8 +170,8 @@ def find_motors(where: str) -> list[BoardAddress]:
     are open, the board's application runs on the host (HostedLink). TautError where the address is malformed."""
     address = parse(where)
 
-    def opened() -> Link:
-        """Opens the drives and the application over them."""
+    def open_link() -> Link:
+        """Opens the drives, and the application over them; closes the drives if that fails."""
         drives = open_drives(address)
         try:
             return HostedLink(drives, address.where, address.rate_hz)
@@ -180,4 +180,4 @@ def find_motors(where: str) -> list[BoardAddress]:
             raise
 
     protocol = (wire.wire.MAJOR, wire.wire.MINOR)  # the application's, which is of this version
-    return [BoardAddress(where=address.where, serial=None, busy=False, protocol=protocol, open=opened)]
+    return [BoardAddress(where=address.where, serial=None, busy=False, protocol=protocol, open=open_link)]

@@ -91,8 +91,8 @@ class Cia402:
         self._retry(node, index, lambda: self._nodes[node].sdo.download(*index, data))
 
     def _retry(self, node: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
-        """Calls `ask`, an SDO transfer of the object `index` with the node of this id, up to 3 times again where no
-        answer comes. _Refused where the drive refuses it, TautError where it does not answer."""
+        """Calls `ask`, an SDO transfer of the object `index` with the node of this id, with canopen's own time-out and
+        retries set for it. _Refused where the drive refuses it, TautError where it does not answer."""
         self._nodes[node].sdo.RESPONSE_TIMEOUT, self._nodes[node].sdo.MAX_RETRIES = _SDO_S, 3
         try:
             return ask()

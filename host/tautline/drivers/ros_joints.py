@@ -122,15 +122,17 @@ class RosJoints:
         node = self._graph.node
         topic = self._graph.topic(commands)
 
-        def kinds() -> set[str]:
+        def subscriber_types() -> set[str]:
             """Message types of the topic's subscribers."""
             return {info.topic_type for info in node.get_subscriptions_info_by_topic(topic)}
 
-        if not self._wait_for(lambda: bool(kinds()), _FIRST_S):
+        if not self._wait_for(lambda: bool(subscriber_types()), _FIRST_S):
             raise TautError(f"ros: nobody takes set-points on {commands}: {advice}")
-        found = kinds() & {_ARRAY, _STATE}
+        found = subscriber_types() & {_ARRAY, _STATE}
         if not found:
-            raise TautError(f"ros: {commands} takes {', '.join(sorted(kinds()))}: name one of {_ARRAY} or {_STATE}")
+            raise TautError(
+                f"ros: {commands} takes {', '.join(sorted(subscriber_types()))}: name one of {_ARRAY} or {_STATE}"
+            )
         return min(found, key=(_ARRAY, _STATE).index)
 
     def _message_type(self) -> Any:

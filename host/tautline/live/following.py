@@ -241,9 +241,9 @@ def follow_run(
         board.counters(clear=True)
         recorder = None if folder is None else stack.enter_context(Recorder(live, folder))
 
-        def seen(frame: Frame) -> None:
-            """Keeps, records and tracks a frame."""
-            frames.append(replace(frame, picture=None))  # pictures of a whole run would fill the memory
+        def on_frame(frame: Frame) -> None:
+            """Keeps a frame, without its picture, records it and tracks it."""
+            frames.append(replace(frame, picture=None))  # the pictures of a run would fill the memory
             if recorder is not None:
                 recorder.add(frame)
             if following is not None:
@@ -256,7 +256,7 @@ def follow_run(
             tip=has_tables,
             compensation=compensation,
             strength=strength,
-            seen=seen if recorder is not None or following is not None or live.plant is None else None,
+            seen=on_frame if recorder is not None or following is not None or live.plant is None else None,
             progress=progress,
         )
     plan = sent if has_tables else coarse.gain * sent + coarse.offset
@@ -337,8 +337,8 @@ def record(
         counts["lost_frames"] += not frame.sighting.valid
         seen(frame)
 
-    def batch(message: wire.Message) -> None:
-        """Counts the samples of a telemetry message."""
+    def count_samples(message: wire.Message) -> None:
+        """Counts the samples of a telemetry message, if it is of this axis."""
         counts["motor_samples"] += message.count if message.axis == live.axis else 0
 
     missed_before = live.board.missed
@@ -346,7 +346,7 @@ def record(
     plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s, seed)
     left_out = other_axes(motion)
     began = live.now_us()
-    with live.board.listening(batch=batch), Recorder(live, folder, video) as recorder, live.interruptible():
+    with live.board.listening(batch=count_samples), Recorder(live, folder, video) as recorder, live.interruptible():
         try:
             if plan is not None:
                 follow(live, *plan, tip=False, seen=add, progress=progress)

@@ -179,8 +179,8 @@ class Following:
 
     def _track(self, frame: Frame) -> None:
         """Predicts where the marker is in a frame, learns from it if it shows the marker, and moves the board's tables
-        to what was learnt; while the model is STALE it moves them only if the tracker has dialled B down. Hands the row
-        to `on_row` and the frame to `shown`."""
+        to what was learnt; while the model is STALE only if two passes of one place have made the tracker dial B down.
+        Hands the row to `on_row` and the frame to `shown`."""
         arrival_s, sighting = frame.t_us * 1e-6, frame.sighting
         self.row = self.tracker.predict(arrival_s - self._delay_s, arrival_s)
         self.frames += 1

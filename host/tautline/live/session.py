@@ -271,18 +271,18 @@ class Motions:
         frame, was true once: the move that is under way is then finished. The axis is at rest afterwards."""
         done = False
 
-        def seen(frame: Frame) -> None:
-            """Records a frame and asks whether that is enough."""
+        def on_frame(frame: Frame) -> None:
+            """Records a frame; sets `done` if the frame is enough."""
             nonlocal done
             self._record_frame(frame)
             done = enough(frame) or done
 
         for place in wanted.places:
-            move_to(self.live, place.low, wanted.transit, seen)
+            move_to(self.live, place.low, wanted.transit, on_frame)
             for end in (place.high, place.low) * place.times:
                 if done:
                     return
-                move_to(self.live, end, place.speed, seen)
+                move_to(self.live, end, place.speed, on_frame)
                 self.made.reversals += 1
 
     def _record_frame(self, frame: Frame) -> None:
@@ -381,8 +381,8 @@ def record_calibration(
                 progress(0.0, "checking scale and sign")
             probe(live, motions.recorder.add, wanted.transit)
 
-        def seen(frame: Frame) -> bool:
-            """Shows a frame; False, as the motion shall run to its end."""
+        def show_frame(frame: Frame) -> bool:
+            """Shows a frame. Returns False, as the motion shall run to its end."""
             made = motions.made
             if show:
                 watch.frame(frame, made.reversals)
@@ -391,7 +391,7 @@ def record_calibration(
             return False
 
         with closing(watch):
-            motions.run(wanted, seen)
+            motions.run(wanted, show_frame)
         motions.record_rest()
     made = motions.made
     if made.lost_frames > 0.5 * made.frames:
@@ -414,13 +414,13 @@ def calibrate_live(
     """Runs the thorough calibration motion, records it in `folder` (see `record_calibration`), and calibrates that
     recording with `options`."""
 
-    def part(low: float, high: float) -> Progress:
+    def progress_of_part(low: float, high: float) -> Progress:
         """Returns a `progress` for a step that goes from the share `low` of the whole to `high`; None without
         `progress`."""
         return (lambda share, what: progress(low + (high - low) * share, what)) if progress else None
 
-    made = record_calibration(live, folder, motion, video, part(0.0, 0.8), show)
-    return calibrate([load(folder, live.rig)], live.rig, options, part(0.8, 1.0)), made
+    made = record_calibration(live, folder, motion, video, progress_of_part(0.0, 0.8), show)
+    return calibrate([load(folder, live.rig)], live.rig, options, progress_of_part(0.8, 1.0)), made
 
 
 def _stop_motion(live: Live) -> None:

@@ -395,8 +395,8 @@ class Recorder:
 
     def add(self, frame: Frame) -> None:
         """Records one frame: a row of marker.csv, a picture of the video if one is wanted, and the first picture that
-        shows the marker as a file of its own, for reports. Every _FLUSH_FRAMES frames the files are flushed to the
-        disk."""
+        shows the marker as a file of its own, for reports. Every _FLUSH_FRAMES frames motor.csv and marker.csv are
+        flushed to the disk."""
         if self._marker is None:
             self._marker = (self.folder / "marker.csv").open("w", buffering=1 << 13)
             size = None if frame.picture is None else (frame.picture.shape[1], frame.picture.shape[0])

@@ -93,12 +93,12 @@ def calibrate_until(
         with closing(Watch(live, motions.recorder, view, options, shown)) as watch:
             shown(view)
 
-            def seen(frame: Frame) -> None:
-                """Records and shows a frame of the probe, before any reversal is counted."""
+            def on_probe_frame(frame: Frame) -> None:
+                """Records and shows a frame of the probe, in which no reversal is counted."""
                 motions.recorder.add(frame)
                 watch.frame(frame, 0)
 
-            probe(live, seen, means.speeds[0])
+            probe(live, on_probe_frame, means.speeds[0])
             if resting():
                 watch.rest(resting)
             rounds, why = _make_rounds(motions, watch, means, until, goal.at_most_s, resting)

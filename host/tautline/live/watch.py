@@ -215,7 +215,7 @@ class Watch:
         recording, seconds = self._recorder.recording_so_far(), self.view.seconds
 
         def work() -> tuple[Calibration, float]:
-            """Calibrates."""
+            """Calibrates the recording; returns the calibration and the seconds of recording that it is of."""
             return calibrate([recording], self._live.rig, self._options, naming=naming), seconds
 
         if self._pool is not None:

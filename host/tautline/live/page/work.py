@@ -157,8 +157,9 @@ class Watching(_OnSetUp):
             """Publishes a row of the tracker."""
             desk.events.publish("holds", shown.row_document(row, t_s))
 
-        def seen(frame: Frame, q: float) -> None:
-            """Publishes a frame; Stopped where stop was pressed, or nobody watches a motion."""
+        def on_frame(frame: Frame, q: float) -> None:
+            """Publishes a frame. Raises Stopped where stop was pressed, or the motor follows a motion and no page is
+            open."""
             desk.show_frame(frame, q)
             desk.check_stop()
             if self.motion != "none" and desk.unwatched:
@@ -166,7 +167,7 @@ class Watching(_OnSetUp):
 
         result = watch(
             self.live, self.model, self.motion, speed=self.speed, duration_s=self.duration_s, seed=self.seed,
-            on_row=show_row, shown=seen,
+            on_row=show_row, shown=on_frame,
         )  # fmt: skip
         return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
 
@@ -195,16 +196,16 @@ class Diagnosing(_OnSetUp):
         desk.events.publish("fit", shown.calibration_document(self.calibration, None))
         desk.events.publish("diagnosis", None)
 
-        def seen(frame: Frame) -> None:
-            """Publishes a frame; Stopped where stop was pressed, or nobody watches."""
+        def on_frame(frame: Frame) -> None:
+            """Publishes a frame. Raises Stopped where stop was pressed, or no page is open."""
             desk.show_frame(frame, self.live.motor_position())
             desk.check_stop()
             if desk.unwatched:
                 raise Stopped
 
-        def answered(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
-            """Publishes a diagnosis and what leads now. why: why the diagnosis ends, "" while another motion follows:
-            then waits until a page is open; Stopped where stop was pressed meanwhile."""
+        def on_answer(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
+            """Publishes a diagnosis and the likeliest answers so far. why: why the diagnosis ends; "" while another
+            motion follows: it then waits until a page is open, and raises Stopped if stop is pressed meanwhile."""
             answers.append(leading)
             desk.events.publish("diagnosis", shown.diagnosis_document(diagnosis.document, answers, why))
             while not why and desk.resting():
@@ -212,7 +213,7 @@ class Diagnosing(_OnSetUp):
 
         asked = diagnose_live(
             self.live, self.calibration, self.recorded[0], self.recorded[1:], self.recordings(), self.most,
-            progress=desk.show_doing, seen=seen, answered=answered,
+            progress=desk.show_doing, seen=on_frame, answered=on_answer,
         )  # fmt: skip
         save(asked.diagnosis, self.out)
         self.found = asked
