@@ -57,8 +57,9 @@ class Dynamixel(SerialServos):
         super().__init__(dynamixel_sdk, protocol=2.0, bus=bus, numbers=numbers, baud=baud, clock=clock)
 
     def describe(self, number: int) -> Drive:
-        """Reads a servo's limits (counts, counts/s, counts/s2, mA), model and firmware from its registers. TautError
-        where it is not in a position mode."""
+        """Reads a servo's limits (counts, counts/s, counts/s2, mA), model and firmware from its registers. In extended
+        position mode, 4, its position limits are those of the mode; current_ma is 0 for a model that measures none.
+        TautError where it is not in a position mode."""
         mode, model = self.read(number, _MODE), self.read(number, _MODEL)
         if mode not in (3, 4):
             raise TautError(

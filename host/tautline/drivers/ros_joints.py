@@ -37,8 +37,8 @@ class RosJoints:
     def __init__(
         self, bus: str, names: Sequence[int | str], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
-        """bus: topics STATES,COMMANDS; names: of the joints; baud, rate_hz: as every driver takes them, unused.
-        TautError where a topic or joint is not there."""
+        """Makes a node of its own and finds the joints on the graph (`drives`). bus: topics STATES,COMMANDS; names: of
+        the joints; baud, rate_hz: as every driver takes them, unused. TautError where a topic or joint is not there."""
         states, _, commands = bus.partition(",")
         if not states or not commands:
             raise TautError(f"ros:{bus}: name two topics, as in ros:/joint_states,/commands:elbow")

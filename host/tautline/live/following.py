@@ -50,7 +50,7 @@ class Followed:
     t_s: Array  # (n,) board time
     c_ref_deg: Array  # (n,) c*, as planned
     c_deg: Array  # (n,) c, as it was; NaN where it is not known
-    counted: Array  # (n,) bool: after the first full take-up in both directions
+    counted: Array  # (n,) bool: in a simulation, once the backlash was crossed in both directions; else all
     scored_by: str = ""
     counters: dict[str, Any] = field(default_factory=dict)  # the board's, of this run, by name
     clipped: float = 0.0  # share of the trajectory's time that is beyond `reach_deg`: the tip is held at its end there
@@ -103,7 +103,7 @@ def _shape(what: str, actuator: Actuator, speed: float, seconds: float, seed: in
 
 def _reachable_deg(live: Live) -> tuple[float, float]:
     """Returns the lowest and the highest angle that the tip can take, deg: by the tables on the board, or by f_coarse
-    where there are none."""
+    where there are none or they are empty."""
     blob = live.board.read_table(live.axis)
     if blob:
         table = tables.decode(blob)
@@ -281,9 +281,10 @@ def _share_beyond(t_s: Array, c_deg: Array, reach_deg: tuple[float, float]) -> f
 
 
 def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
-    """Returns the run compared with its plan. The tip's angle is the simulated instrument's true one, or the one that
-    the camera saw, or NaN where there is neither. begin_s: when the trajectory itself begins; t_s, plan: times of the
-    set-points, board time in s, and c*, deg, (n,); frames: those of the run, with their markers."""
+    """Returns the run compared with its plan. The tip's angle is the simulated instrument's true one, counted once the
+    backlash was crossed both ways; else the one that the camera saw, all of it counted; NaN where there is neither.
+    begin_s: when the trajectory itself begins; t_s, plan: times of the set-points, board time in s, and c*, deg, (n,);
+    frames: those of the run, with their markers."""
     if live.plant is not None:
         times_s, q, p, c = live.plant.truth()
         half_width = 0.5 * live.plant.instrument.backlash(p)

@@ -132,7 +132,7 @@ class Desk:
         READY afterwards. let_go: brings the board to rest; `stop` calls it from another thread."""
         with self._changed:
             self._let_go, self._calibration, self._shown_s = let_go, None, float("-inf")
-        self.events.publish("fit", None)  # what was found before is not of this
+        self.events.publish("fit", None)  # of an earlier run
         try:
             yield
         finally:

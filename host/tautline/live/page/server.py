@@ -175,7 +175,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send_picture(self) -> None:
         """Sends, as JPEG, the latest picture that is newer than the one which the page has (?after=NUMBER), waiting for
-        it up to _PICTURE_S. A slow page so gets fewer pictures."""
+        it up to _PICTURE_S; without one it answers 204, to a malformed number 400. A slow page so gets fewer
+        pictures."""
         after = _parse_count(parse_qs(self.path.partition("?")[2]).get("after", ["0"])[0])
         if after is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
