@@ -259,7 +259,7 @@ def test_what_is_clicked_while_it_runs_is_not_picked() -> None:
         work.idle(desk)
         desk.start()
         desk.pick(10.0, 10.0)
-        assert desk.picked() is None and desk.events.newer(0, 0.0)[1]["state"]["state"] == RUNNING
+        assert desk.take_pick() is None and desk.events.newer(0, 0.0)[1]["state"]["state"] == RUNNING
 
 
 def test_the_board_is_told_from_another_thread_though_nobody_looks(bench: Bench) -> None:

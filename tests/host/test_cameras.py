@@ -193,7 +193,7 @@ def test_exposure_is_locked_where_it_settled_and_what_is_refused_is_said(
     before = webcam.values[cv2.CAP_PROP_AUTO_EXPOSURE]
     monkeypatch.setattr(cv2, "VideoCapture", lambda source: webcam)
     monkeypatch.setattr("tautline.vision.camera.time.monotonic", lambda: _NOW_S)
-    camera = setup._camera(0, None, None)
+    camera = setup._open_camera(0, None, None)
     assert says in camera.exposure
     if "locked" in says:
         shown = len(webcam.shown_ms)

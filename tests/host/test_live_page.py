@@ -180,7 +180,7 @@ def test_only_who_has_the_token_gets_anything_and_only_the_pages_own_files(
 def test_what_is_no_place_picks_nothing(recording: Recording, body: str) -> None:
     with attended(recording) as (page, desk):
         assert page.post("pick", body) == 400
-        assert desk.picked() is None
+        assert desk.take_pick() is None
 
 
 def test_a_recording_is_played_to_the_calibration_that_it_gives(recording: Recording) -> None:
@@ -315,11 +315,11 @@ def test_what_was_played_is_never_ahead_of_its_frame(recording: Recording) -> No
     played = Played(recording, RIG)
     for k in range(played.frames - 1):
         frame = played.play(lambda t_s: None)
-        part = played.so_far()
+        part = played.recording_so_far()
         assert part.marker is not None and len(part.marker.t_s) == k + 1
         assert part.motor.t_s[-1] <= frame.t_us * 1e-6 + 1e-6 and len(part.motor.q) == len(part.motor.t_s)
     played.play(lambda t_s: None)
-    assert played.so_far() is recording
+    assert played.recording_so_far() is recording
 
 
 def test_a_recording_whose_motor_comes_later_is_played_too(recording: Recording) -> None:
@@ -384,10 +384,10 @@ def test_it_may_rest_before_its_first_frame(recording: Recording) -> None:
 
 def test_what_is_missing_is_said() -> None:
     view = View(-5.0, 5.0, "mm", 3e-3)
-    assert shown.missing(view) == ["seen in both directions over 0 % of the range"]
+    assert shown.missing_in_words(view) == ["seen in both directions over 0 % of the range"]
     view.rising[:, 0] = view.falling[:, 0] = 1
     view.falling[24:, :] = (0, 3)
-    assert shown.missing(view) == [
+    assert shown.missing_in_words(view) == [
         "seen in both directions over 50 % of the range",
         "the marker is mostly lost from 0 to 5 mm",
     ]
@@ -409,7 +409,7 @@ def test_what_is_not_measured_is_said(recording: Recording, nodes: tuple[float, 
     view = View(-5.0, 5.0, "mm", 3e-3)
     view.rising[:, 0] = view.falling[:, 0] = 1
     view.standing = Standing.of(replace(found, model=replace(found.model, measured=measured)), -5.0, 5.0, 3e-3)
-    assert f"B is {says.format(*measured)}" in shown.missing(view)
+    assert f"B is {says.format(*measured)}" in shown.missing_in_words(view)
 
 
 def test_a_marker_that_is_lost_has_no_place_and_no_angle() -> None:

@@ -30,8 +30,8 @@ from tautline.live.rounds import (
     first_round,
     in_words,
     next_round,
-    no_longer,
-    slower_tells,
+    no_longer_reached,
+    slower_pass_tells,
     why_another,
     why_not,
 )
@@ -304,9 +304,11 @@ def test_another_round_says_why() -> None:
 
 def test_a_goal_that_was_reached_once_and_is_not_any_more_is_told() -> None:
     noisy = Standing.of(found(sigma_with((1.0, 1.0, 0.0068))), -5.0, 5.0, UNTIL)
-    assert "looked like 1.7 µm" in no_longer(1.7e-3, noisy, UNTIL, "mm")
-    assert no_longer(4e-3, noisy, UNTIL, "mm") == "" and no_longer(float("inf"), noisy, UNTIL, "mm") == ""
-    assert no_longer(1e-3, Standing.of(found(sigma_with()), -5.0, 5.0, UNTIL), UNTIL, "mm") == ""
+    assert "looked like 1.7 µm" in no_longer_reached(1.7e-3, noisy, UNTIL, "mm")
+    assert (
+        no_longer_reached(4e-3, noisy, UNTIL, "mm") == "" and no_longer_reached(float("inf"), noisy, UNTIL, "mm") == ""
+    )
+    assert no_longer_reached(1e-3, Standing.of(found(sigma_with()), -5.0, 5.0, UNTIL), UNTIL, "mm") == ""
 
 
 BY_SPEED = Reason(
@@ -325,12 +327,12 @@ def test_a_width_that_may_go_with_speed_asks_for_a_slower_pass_once() -> None:
     assert isinstance(wanted, Round) and (wanted.low, wanted.high) == (-5.0, 5.0)
     assert wanted.speeds == (pytest.approx(min(MEANS.speeds)),) and min(MEANS.speeds) <= 0.5 * max(fast.speeds)
     assert "motor's speed" in why_another(doubtful, UNTIL, "mm", [fast, strokes])
-    assert slower_tells(MEANS, doubtful, UNTIL, [fast, strokes])
-    assert not slower_tells(MEANS, doubtful, UNTIL, [fast, strokes, wanted])
-    assert not slower_tells(MEANS, at_one_speed(1e-3), UNTIL, [fast, strokes])
-    assert not slower_tells(MEANS, of(found(sigma_with((-4.8, 4.8, 0.049)))), UNTIL, [fast, strokes])
+    assert slower_pass_tells(MEANS, doubtful, UNTIL, [fast, strokes])
+    assert not slower_pass_tells(MEANS, doubtful, UNTIL, [fast, strokes, wanted])
+    assert not slower_pass_tells(MEANS, at_one_speed(1e-3), UNTIL, [fast, strokes])
+    assert not slower_pass_tells(MEANS, of(found(sigma_with((-4.8, 4.8, 0.049)))), UNTIL, [fast, strokes])
     short = of(found(sigma_with((-4.8, 4.8, 0.049)), (-4.8, 2.0), reasons=(BY_SPEED,)))
-    assert not slower_tells(MEANS, short, UNTIL, [fast, strokes])
+    assert not slower_pass_tells(MEANS, short, UNTIL, [fast, strokes])
 
 
 @pytest.mark.parametrize(("helps", "at_most_s", "count"), [(True, 120.0, 3), (False, 120.0, 3), (True, 20.0, 2)])

@@ -35,19 +35,19 @@ Listener = Callable[[wire.Message], None]
 
 
 class BoardRefused(TautError):
-    """The board refused a request. `reason` is the name of why in tl_wire.h's TL_WIRE_REASONS."""
+    """The board refused a request. `reason` is the name of the refusal's reason in tl_wire.h's TL_WIRE_REASONS."""
 
     def __init__(self, request: str, code: int, fault: str = "") -> None:
-        """request: the message's name; code: number in tl_wire.h's TL_WIRE_REASONS; fault: where the reason is a fault
-        of the axis, that fault in words, which is then the error's text."""
+        """request: the message's name; code: the reason's number in tl_wire.h's TL_WIRE_REASONS; fault: the axis' fault
+        in words where that is the reason: it is then the error's text, else ""."""
         super().__init__(fault or f"the board refused '{request}': {wire.text('REASONS', code)}")
         self.reason = next((name for name, (value, _) in wire.wire.REASONS.items() if value == code), str(code))
 
 
 def find(where: str | None = None) -> list[BoardAddress]:
-    """The boards that are there, not opened. where: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, or
-    of a board on USB its serial number, usb:SERIAL or usb:BUS-DEVICE (if it cannot be asked for its number); None means
-    every board on USB, and the one that the environment variable TAUTLINE_BOARD names."""
+    """Returns the boards that are there, not opened. where: usbip:HOST:PORT, serial:DEVICE, motors as in
+    drivers/addresses, or, for a board on USB, its serial number, usb:SERIAL or usb:BUS-DEVICE (if it cannot be asked
+    for its number). None returns every board on USB, and the one that the environment variable TAUTLINE_BOARD names."""
     if where is not None and _is_address(where):
         return _find_named(where)
     boards = find_usb()
@@ -101,8 +101,8 @@ def check_protocol(description: BoardAddress) -> None:
 
 
 def newer_firmware(where: str, protocol: tuple[int, int]) -> str:
-    """The end of an error's text: how to get newer firmware onto the board at `where`, which speaks this protocol
-    (major, minor)."""
+    """Says how to get newer firmware onto the board at `where`, which speaks this protocol (major, minor): the end of
+    an error's text."""
     if where.startswith(("usbip:", "serial:tcp:")):
         return "run 'cmake --build --preset gcc' and start the board again"
     if protocol >= (wire.wire.MAJOR, wire.wire.SINCE["get_firmware"]):
@@ -148,8 +148,8 @@ class Board(Closable):
             raise
 
     def _hello(self) -> wire.Message:
-        """Says hello and returns the board's identity. The link says in how many tries; all together take no longer
-        than one answer may. TautError where the board does not answer."""
+        """Says hello and returns the board's identity. It tries as often as the link says (`hello_tries`), all together
+        for no longer than one answer may take. TautError where the board does not answer."""
         tries = self._link.hello_tries
         for left in reversed(range(tries)):
             try:
@@ -175,7 +175,7 @@ class Board(Closable):
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
-        """Inside, a thread takes in what the board sends."""
+        """A context within which a thread of its own takes in what the board sends, and calls the listeners."""
         self._stop.clear()
         self._reader = threading.Thread(target=self._poll_until_stopped, name="board reader", daemon=True)
         self._reader.start()
@@ -197,11 +197,12 @@ class Board(Closable):
     # -- messages -----------------------------------------------------------------------------------------------
 
     def listen(self, name: str, listener: Listener) -> None:
-        """Calls `listener` with each unasked message of this name: batch, onset, progress, event."""
+        """Calls `listener`, from now on, with each message of this name that the board sends unasked: batch, onset,
+        progress or event."""
         self._listeners[name].append(listener)
 
     def forget(self, name: str, listener: Listener) -> None:
-        """Ends `listen`; does nothing for a listener that is not registered."""
+        """Ends what `listen` began; does nothing for a listener that is not registered."""
         self._listeners[name] = [other for other in self._listeners[name] if other != listener]
 
     @contextlib.contextmanager
@@ -285,7 +286,8 @@ class Board(Closable):
             )
 
     def poll(self, timeout_s: float) -> int:
-        """Takes in what the board sends, waiting for at most this time; returns the number of messages."""
+        """Takes in what the board sends, waiting for at most timeout_s; calls the listeners. Returns the number of
+        messages. TautError where the link fails or has failed before, or from a listener."""
         if self._link_error is not None:
             raise self._link_error
         try:
@@ -302,8 +304,8 @@ class Board(Closable):
         return count
 
     def _dispatch(self, message: wire.Message) -> None:
-        """Gives a message that came to the listeners of its name, to `refused` if it refuses a message without an
-        answer, or to the waiting `ask`. Gaps in the sequence numbers of unasked messages add to `missed`."""
+        """Hands a message that came to the listeners of its name, to the waiting `ask`, or, if it refuses a message
+        without an answer, to the list `refused`. Gaps in the sequence numbers of unasked messages add to `missed`."""
         if message.name in self._listeners:
             if self._last_unasked is not None:
                 self.missed += (message.sequence - self._last_unasked - 1) & 0xFFFF
@@ -331,7 +333,8 @@ class Board(Closable):
                 self._arrived.notify_all()
 
     def _next_sequence(self) -> int:
-        """The sequence number of the next message: 1 to 65535, then 1 again. An answer to its last use is dropped."""
+        """Returns the sequence number of the next message: 1 to 65535, then 1 again. What is kept from the last use of
+        this number, such as an answer that came too late, is dropped."""
         with self._asking:
             self._sequence = self._sequence % 0xFFFF + 1
             self._request_names.pop(self._sequence, None)
@@ -339,7 +342,7 @@ class Board(Closable):
             return self._sequence
 
     def _write(self, frame: bytes) -> None:
-        """Sends whole frames. TautError where the link has failed, also before."""
+        """Sends whole frames. TautError where the link fails, or has failed before."""
         if self._link_error is not None:
             raise self._link_error
         with self._writing:
@@ -354,20 +357,22 @@ class Board(Closable):
 
     @property
     def log_divider(self) -> int:
-        """Milliseconds from one sample of telemetry to the next in a recording: 1 for a board, more where its motors
-        are asked less often than that."""
+        """Milliseconds from one sample of telemetry to the next in a recording: 1 for a board, more for motors on a bus
+        that are asked less often than that."""
         return self._link.log_divider
 
     def bus(self) -> dict[str, Any]:
-        """Of motors on a bus of their own, what HostedLink.bus says: drives, limits, timing; empty for a board."""
+        """Returns what HostedLink.bus says (drives, limits, timing) where the axes are motors on a bus of their own; {}
+        for a real board."""
         return dict(self._link.bus())
 
     def status(self, axis: int) -> wire.Message:
-        """The axis' status: tl_wire.h's message `status`."""
+        """Asks for the axis' status: tl_wire.h's message `status`."""
         return self.ask("get_status", axis=axis)
 
     def counters(self, clear: bool = False) -> wire.Message:
-        """The board's counters of errors and lost messages: tl_wire.h's message `counters`. clear: sets them to 0."""
+        """Asks for the board's counters of errors and lost messages: tl_wire.h's message `counters`. clear: whether
+        they are set to 0 afterwards."""
         return self.ask("get_counters", clear=int(clear))
 
     def sync(self) -> int:
@@ -376,8 +381,8 @@ class Board(Closable):
         return int(self.ask("ping", host_us=0).t_us)
 
     def align(self, trips: int = 8) -> float:
-        """Measures the board's clock against time.monotonic() by this many round trips, which `clock` takes in; returns
-        the bound of the clock's error now, s."""
+        """Measures the board's clock against time.monotonic() by this many round trips, which are added to `clock`;
+        returns the bound of the clock's error now, s."""
         for _ in range(trips):
             sent = time.monotonic()
             stamp = self.ask("ping", host_us=round(sent * 1e6)).t_us
@@ -395,7 +400,7 @@ class Board(Closable):
             raise TautError(fault)
 
     def _fault_in_words(self, axis: int) -> str:
-        """The axis' fault with its remedy as an error's text, "" where it has none."""
+        """Asks for the axis' status; returns its fault with the remedy as an error's text, "" where it has none."""
         status = self.status(axis)
         if not status.fault:
             return ""
@@ -457,7 +462,7 @@ class Board(Closable):
             raise TautError(f"axis {axis}: the board holds another table than was sent: flash it again")
 
     def read_table(self, axis: int) -> bytes:
-        """The table in use, the blob of tl_table.h; b"" where the axis has none."""
+        """Reads the table in use from the board: the blob of tl_table.h; b"" where the axis has none."""
         self.check_axis(axis)
         dfu = self._link.tables(axis)
         if dfu is None:
@@ -466,8 +471,8 @@ class Board(Closable):
             return bytes(route.upload())
 
     def firmware_route(self) -> Any:
-        """A context (see Link.tables) with download() for new firmware, which is the DFU setting after those of the
-        axes' tables. None where the link has no DFU interface."""
+        """Returns a context (see Link.tables) with download() for new firmware; None where the link has no DFU
+        interface. On DFU the firmware is the alternate setting after those of the axes' tables."""
         return self._link.tables(self.axes)
 
     def load_table_by_messages(
@@ -514,8 +519,8 @@ class Board(Closable):
 
 
 def _table_lost(status: wire.Message) -> str:
-    """The end of the error for a refused table: says where the table in use before has been damaged, too; "" where it
-    has not."""
+    """Returns the end of the error for a refused table, which says that the table in use before is damaged, too; ""
+    where it is not."""
     if status.table != wire.code("TABLES", "BAD"):
         return ""
     return "; the one that was in use is damaged in flash: flash a table that is whole"

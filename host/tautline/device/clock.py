@@ -1,4 +1,4 @@
-"""The board's clock as the host's: from round trips, with an error that is a bound and not a hope."""
+"""The offset between the board's clock and the host's, from round trips, with a bound of its error."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 STEADY = 200e-6  # two quartz clocks differ by less than this ratio, whatever is known of them
-_KEPT = 512
+_KEPT = 512  # round trips
 _TRIPS, _SHORT_TRIPS = 8, 4  # tolerance: round trips, and short ones among them, that a line is drawn through
-_SHORT = 1.5  # tolerance: times the shortest: longer ones say less about the offset
-_LINE_S = 5.0  # round trips over so long show the drift better than STEADY bounds it
+_SHORT = 1.5  # tolerance: times the shortest round trip: longer ones say less about the offset
+_LINE_S = 5.0  # round trips over so long a time show the drift better than STEADY bounds it
 
 
 class _Line(NamedTuple):
@@ -29,7 +29,7 @@ class BoardClock:
     """board time = host time + offset(host time); in a round trip the board's stamp fell between its two ends."""
 
     def __init__(self) -> None:
-        """No round trip yet."""
+        """Begins without a round trip."""
         self._trips: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)  # middle, offset, half the round trip; s
         self._using = threading.Lock()  # a camera's thread and a sender's
 
@@ -39,16 +39,16 @@ class BoardClock:
         with self._using:
             self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))
 
-    def _all(self) -> np.ndarray:
-        """The round trips that are kept, the last _KEPT (n, 3): host time at the middle, board less host time there,
-        half the round trip; s."""
+    def _kept_trips(self) -> np.ndarray:
+        """Returns the last _KEPT round trips (n, 3): host time at the middle, board time less host time there, half the
+        round trip; s."""
         with self._using:
             return np.array(self._trips)
 
-    def _line(self) -> _Line | None:
-        """The line through the shortest round trips, by least squares, which shows how fast the clocks drift apart.
-        None where they are too few, or span less than _LINE_S."""
-        trips = self._all()
+    def _fit_line(self) -> _Line | None:
+        """Fits a line by least squares through the shortest round trips: its slope is how fast the clocks drift apart.
+        None where these are too few, or span less than _LINE_S."""
+        trips = self._kept_trips()
         if len(trips) < _TRIPS:
             return None
         trips = trips[trips[:, 2] <= _SHORT * trips[:, 2].min()]
@@ -60,19 +60,21 @@ class BoardClock:
         return _Line(float(mean_s), float(offset_s.mean()), drift, t_s, half_s)
 
     def offset(self, host_s: float) -> tuple[float, float]:
-        """Board time less host time at `host_s`, s, and the bound of its error while both clocks run evenly, s; 0 and
-        inf before any round trip. Of two estimates the one with the smaller bound: a single round trip, whose bound is
-        half its length and STEADY times its age, or the line through many."""
+        """Returns board time less host time at `host_s`, s, and the bound of its error while both clocks run evenly, s;
+        0 and inf before any round trip. Of two estimates it takes the one with the smaller bound: a single round trip,
+        whose bound is half its length plus STEADY times its age, or the line through many."""
         if not self._trips:
             return 0.0, float("inf")
-        trips = self._all()
+        trips = self._kept_trips()
         bounds = trips[:, 2] + STEADY * np.abs(host_s - trips[:, 0])
         best = int(np.argmin(bounds))
         offset, bound = float(trips[best, 1]), float(bounds[best])
-        line = self._line()
+        line = self._fit_line()
         if line is not None:
             away, ahead = line.t_s - line.mean_s, host_s - line.mean_s
-            weight = 1.0 / len(away) + ahead * away / (away**2).sum()  # of each trip's offset in the line's value
+            weight = (
+                1.0 / len(away) + ahead * away / (away**2).sum()
+            )  # of each trip's offset in the line's value at host_s
             line_bound = float(np.abs(weight) @ line.half_s)  # as if every trip erred by all of its bound
             if line_bound < bound:
                 offset, bound = line.offset_s + line.drift * ahead, line_bound
@@ -80,8 +82,8 @@ class BoardClock:
 
     @property
     def drift(self) -> float:
-        """Rate of the board's clock less 1; 0 until the round trips span 5 s."""
-        line = self._line()
+        """How much faster the board's clock runs than the host's, s/s; 0 until the round trips span _LINE_S."""
+        line = self._fit_line()
         return line.drift if line else 0.0
 
     def board_us(self, host_s: float) -> int:

@@ -50,8 +50,8 @@ class Dfu:
     """The DFU interface of an open device, on one alternate setting. Leaves the board idle, also after a failure."""
 
     def __init__(self, device: usb.core.Device, interface: int, alternate: int) -> None:
-        """Claims an alternate setting of a device's DFU interface: that of an axis' table, or the one after the last
-        axis, of the firmware. DfuError where there is none."""
+        """Claims an alternate setting of a device's DFU interface: the axis' number for its table, the number of axes
+        for the firmware. DfuError where there is none."""
         self._device, self._interface, self._answer_ms, self._asked_s = device, interface, _TIMEOUT_MS, 0.0
         settings = [i for i in device.get_active_configuration() if i.bInterfaceNumber == interface]
         if alternate not in [i.bAlternateSetting for i in settings]:
@@ -89,7 +89,7 @@ class Dfu:
         answer_ms: int = _TIMEOUT_MS,
     ) -> None:
         """Writes `blob` and waits until the board has checked and stored it. progress: gets the share written, 0 to 1,
-        and a word; answer_ms: at most for each answer."""
+        and a word; answer_ms: longest wait for each answer, ms. DfuError where the board refuses it."""
         self._answer_ms = answer_ms
         for number, start in enumerate(range(0, len(blob), self._block)):
             self._send(_DNLOAD, number, blob[start : start + self._block])
@@ -100,7 +100,8 @@ class Dfu:
         self._wait_for_state(_IDLE)
 
     def upload(self) -> bytes:
-        """Reads what the board has stored, block after block until one is not full. DfuError where that never comes."""
+        """Reads what the board has stored, block after block until one is not full. DfuError where no such block comes
+        within the size of the largest table."""
         blob = bytearray()
         number = 0
         while len(blob) <= _native.TABLE_SIZE_MAX:
@@ -112,29 +113,29 @@ class Dfu:
         raise DfuError("the board's table does not end: its firmware is not tautline's")
 
     def _send(self, request: int, value: int, data: bytes) -> None:
-        """A DFU request with data to the device; value: the number of the block, else 0."""
+        """Makes a DFU request with data to the device; value: the number of the block, else 0."""
         self._control(_OUT, request, value, data)
 
     def _receive(self, request: int, value: int, length: int) -> Any:
-        """A DFU request that reads `length` bytes at most; value: the number of the block, else 0."""
+        """Makes a DFU request that reads `length` bytes at most; value: the number of the block, else 0."""
         return self._control(_IN, request, value, length)
 
     def _control(self, request_type: int, request: int, value: int, data_or_length: bytes | int) -> Any:
-        """One control transfer of DFU. request_type: _OUT with bytes to send, or _IN with the length to read. If the
-        device stalls a download or upload, raises the DfuError that its status gives."""
+        """Makes one control transfer of DFU. request_type: _OUT with bytes to send, or _IN with the length to read. If
+        the device stalls a download or upload, raises the DfuError that its status gives; other USB errors pass."""
         try:
             return self._device.ctrl_transfer(
                 request_type, request, value, self._interface, data_or_length, self._answer_ms
             )
         except usb.core.USBError as error:
             if error.errno == 32 and request in (_DNLOAD, _UPLOAD):  # a stall: the status says why
-                status, _, _ = self._status()
+                status, _, _ = self._read_status()
                 raise self._refusal(status) from error
             raise
 
-    def _status(self) -> tuple[int, float, int]:
-        """Asks for the device's DFU status: bStatus (0 is OK), bwPollTimeout in s, bState. DfuError where it is too
-        short."""
+    def _read_status(self) -> tuple[int, float, int]:
+        """Asks for the device's DFU status: returns bStatus (0 is OK), bwPollTimeout in s, bState. DfuError where the
+        answer is too short."""
         answer = bytes(self._receive(_GETSTATUS, 0, 6))
         if len(answer) != 6:
             raise DfuError("the board's DFU status is too short: its firmware is not tautline's")
@@ -144,7 +145,7 @@ class Dfu:
         """Asks for the status until the state is `wanted`. DfuError with the device's reason, or after _BUSY_S."""
         deadline = time.monotonic() + _BUSY_S
         while True:
-            status, pause, state = self._status()
+            status, pause, state = self._read_status()
             if status or state == _ERROR:
                 raise self._refusal(status)
             if state == wanted:
@@ -157,7 +158,7 @@ class Dfu:
     def _bring_to_idle(self) -> None:
         """Brings the device to dfuIDLE, whatever state it is in. DfuError where four attempts do not."""
         for _ in range(4):
-            _, pause, state = self._status()
+            _, pause, state = self._read_status()
             if state == _IDLE:
                 return
             if state == _ERROR:

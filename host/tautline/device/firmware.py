@@ -40,7 +40,7 @@ class Image:
 
     @property
     def version(self) -> Version:
-        """Version of the firmware."""
+        """Version of the firmware: major, minor, patch."""
         return version_of(self.fields.version)
 
     @property
@@ -59,12 +59,12 @@ class Image:
 
 
 def digest(content: bytes) -> bytes:
-    """The hash of an image's content that its page holds: BLAKE2b-256, 32 bytes."""
+    """Computes the hash of an image's content that its page holds: BLAKE2b-256, 32 bytes."""
     return hashlib.blake2b(content, digest_size=_HASH).digest()
 
 
 def version_of(numbers: Sequence[int]) -> Version:
-    """A version, (major, minor, patch), from a message's three numbers."""
+    """Makes a version, (major, minor, patch), of the three numbers in a message."""
     major, minor, patch = (int(number) for number in numbers)
     return major, minor, patch
 
@@ -75,14 +75,15 @@ def text_of(version: Version) -> str:
 
 
 def place_of(port: str, axes: int) -> str:
-    """The name that an image for this port and number of axes has in its page: PORT for four axes, PORT-AXES for fewer,
-    so that a board never gets an image that leaves some of its motors alone."""
+    """Returns the name that an image for this port and number of axes has in its page: PORT for four axes, PORT-AXES
+    for fewer. A board so never gets an image that leaves some of its motors alone."""
     return port if axes == _AXES_MOST else f"{port}-{axes}"
 
 
 def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[[bytes], bytes]) -> bytes:
-    """One image of an update file: its signed page, then the content, padded to whole pages. port: as of `place_of`;
-    slot: that it is linked for, 0, 1 or ANY_SLOT; sign: gives the 64-byte signature of the bytes that it gets."""
+    """Makes one image of an update file: its signed page, then the content, padded with FFh to whole pages. port: as of
+    `place_of`; slot: the one that it is linked for, 0, 1 or ANY_SLOT; sign: returns the 64-byte signature of the bytes
+    that it gets."""
     content += b"\xff" * (-len(content) % PAGE)
     fields: dict[str, Any] = {
         "format": _FORMAT,
@@ -100,8 +101,8 @@ def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[
 
 
 def read(path: Path) -> list[Image]:
-    """The images of an update file, their hashes checked, their signatures not. TautError where the file cannot be
-    read, is no update file, or is damaged."""
+    """Reads the images of an update file and checks their hashes, not their signatures. TautError where the file cannot
+    be read, is no update file, or is damaged."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -137,9 +138,9 @@ def _check_port(path: Path, images: Sequence[Image], port: str, axes: int) -> No
 
 
 def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wire.Message, older_too: bool) -> Image:
-    """The image of an update file that goes into the board's free slot. TautError where the board would refuse all of
-    them, with the reason. identity, runs: the board's messages `identity` and `firmware` (what it runs); older_too:
-    takes an image of an older version, too."""
+    """Returns the image of an update file that goes into the board's free slot. TautError, with the reason, where the
+    board would refuse every image, or one is not signed or is for another board. identity, runs: the board's messages
+    `identity` and `firmware` (what it runs); older_too: whether an image of an older version is taken, too."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
     _check_port(path, images, str(identity.port), int(identity.axes))

@@ -1,4 +1,5 @@
-"""Who holds a board: an open one leaves a note on this machine, and whoever finds it busy can say by whom."""
+"""Which process holds a board: an open board has a note on this machine, so that whoever finds it in use can say by
+whom."""
 
 from __future__ import annotations
 
@@ -12,13 +13,15 @@ from pathlib import Path
 
 
 def note(where: str) -> Path:
-    """The path of the note on the board at the address `where`, {"pid": ..., "program": ...} of who holds it."""
+    """Returns the path of the note on the board at the address `where`, a JSON file {"pid": ..., "program": ...} on the
+    process that holds it."""
     folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
     return folder / f"tautline-board-{hashlib.sha256(where.encode()).hexdigest()[:16]}.json"
 
 
 def take(where: str) -> None:
-    """Writes the note that this process holds the board. Without it only a message lacks a name: errors are ignored."""
+    """Writes the note that this process holds the board. Errors are ignored: without the note only a message lacks a
+    name."""
     with contextlib.suppress(OSError):
         note(where).write_text(json.dumps({"pid": os.getpid(), "program": _program_name()}), encoding="utf-8")
 
@@ -30,8 +33,8 @@ def leave(where: str) -> None:
             note(where).unlink()
 
 
-def busy(where: str) -> str:
-    """An error's text for a board that is in use: which process uses it, if the note says, and what to do."""
+def busy_in_words(where: str) -> str:
+    """Returns the error's text for a board that is in use: by which process, if its note says so, and what to do."""
     held = _read_note(where)
     pid, program = held.get("pid"), held.get("program")
     if isinstance(pid, int) and isinstance(program, str) and pid != os.getpid() and _process_exists(pid):
@@ -43,13 +46,13 @@ def busy(where: str) -> str:
 
 
 def _program_name() -> str:
-    """This program as its user called it: 'taut COMMAND', or the script's name."""
+    """Returns this program's name as its user called it: 'taut COMMAND', or the script's name."""
     name = Path(sys.argv[0]).name or "python"
     return f"taut {sys.argv[1]}" if name == "taut" and len(sys.argv) > 1 else name
 
 
 def _read_note(where: str) -> dict[str, object]:
-    """The note on a board; {} where there is none, or it is damaged."""
+    """Reads the note on a board; {} where there is none, or it is damaged."""
     try:
         document = json.loads(note(where).read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -13,13 +13,13 @@ class BoardGone(TautError):
     """The board is not there any more, or has restarted and knows nothing of us."""
 
 
-def gone(where: str) -> BoardGone:
-    """The error to raise where the way to the board at the address `where` has failed."""
+def board_gone(where: str) -> BoardGone:
+    """Returns the error to raise where the way to the board at the address `where` has failed."""
     return BoardGone(f"{where}: the board is gone: check plug and power, then run the command again")
 
 
-def takes_no_data(where: str) -> TautError:
-    """The error to raise where the board at the address `where` is there, but takes no more bytes."""
+def board_takes_no_data(where: str) -> TautError:
+    """Returns the error to raise where the board at the address `where` is there, but takes no more bytes."""
     return TautError(f"{where}: the board does not take data: switch it off and on")
 
 
@@ -33,14 +33,14 @@ class Link(Protocol):
         """Sends whole frames to the board."""
 
     def read(self, timeout_s: float) -> bytes:
-        """The bytes that came, any number, b"" where none did within the time."""
+        """Returns the bytes that came, any number of them, b"" where none did within timeout_s."""
 
     def tables(self, axis: int) -> Any:
-        """A context with download() and upload() for an axis' table, where the link has a way of its own for tables
-        (DFU); None: tables travel in messages."""
+        """Returns a context with download() and upload() for an axis' table, where the link has a way of its own for
+        tables (DFU); None where tables travel in messages."""
 
     def bus(self) -> Mapping[str, Any]:
-        """Of motors on a bus of their own: what HostedLink.bus says. Empty for a board."""
+        """Returns what HostedLink.bus says where the axes are motors on a bus of their own; {} for a board."""
 
     def close(self) -> None:
         """Closes the way to the board."""
@@ -54,4 +54,4 @@ class BoardAddress:
     serial: str | None  # serial number; None: in use, or not allowed to ask
     busy: bool  # another program has it
     protocol: tuple[int, int]  # version that it speaks, major and minor
-    open: Callable[[], Link]  # TautError where it cannot be opened
+    open: Callable[[], Link]  # opens it; TautError where that fails

@@ -1,4 +1,5 @@
-"""Set-points of the tip for teleoperation: paced by the wall clock, late ones counted, the end at rest."""
+"""Set-points of the tip for teleoperation: paced by the wall clock, late ones counted; the axis is at rest
+afterwards."""
 
 from __future__ import annotations
 
@@ -13,11 +14,12 @@ from tautline.device.board import Board
 from tautline.errors import TautError
 
 _LEAD_US = 8_000  # a set-point holds so long after it was sent: the board moves there in a straight line
-_ALIGN_S = 0.25
+_ALIGN_S = 0.25  # from one alignment of the clocks to the next
 
 
 class SetPointStream:
-    """Sends c*, deg, to one axis through its tables. After the block the axis is at rest and off."""
+    """Sends set-points of the tip's angle c*, deg, to one axis through its tables. After the block the axis is at rest
+    and off."""
 
     def __init__(self, board: Board, axis: int, silence_s: float = 0.1) -> None:
         """Checks that the axis is there, without a fault, and knows its position; nothing moves yet. silence_s: after
@@ -28,7 +30,7 @@ class SetPointStream:
         self._board, self._axis, self._silence_s = board, axis, silence_s
         self.start_deg = 0.0  # of the tip's set-point as the axis began to follow
         self.sent = 0
-        self.late = 0  # sent later than half a period after their time
+        self.late = 0  # calls of `pace` that came more than half a period too late
         self.silences = 0  # after which the axis was made to follow again
         # Host times, s: when the next set-point is due, when the stream began and ended (0: not yet), when the last
         # one was sent, and when the clocks were aligned last.
@@ -85,8 +87,8 @@ class SetPointStream:
         return True
 
     def _resume(self) -> bool:
-        """After a silence of ours: if the axis has come to rest, makes it follow again from where it is. Returns
-        whether it takes set-points now: not while it is still coming to rest. TautError for a fault."""
+        """After a silence of this stream: if the axis has come to rest, makes it follow again from where it is. Returns
+        whether the axis takes set-points now: it does not while it is still coming to rest. TautError for a fault."""
         mode = self._board.status(self._axis).mode
         if mode == wire.code("MODES", "HOLD"):
             self._follow()
@@ -96,9 +98,9 @@ class SetPointStream:
         return bool(mode == wire.code("MODES", "FOLLOW_TIP"))
 
     def pace(self, period_s: float) -> None:
-        """Sleeps until the next set-point is due, a period after the last one was; a caller that is late counts in
-        `late`. Every _ALIGN_S it also aligns the clocks and looks at what the board has refused. TautError where the
-        axis has a fault."""
+        """Sleeps until the next set-point is due, period_s after the one before. A caller that is more than half a
+        period late counts in `late`, and the time goes on from there. Every _ALIGN_S it also aligns the clocks and
+        looks at what the board has refused. TautError where the axis has a fault."""
         self._next += period_s
         now = time.monotonic()
         if now > self._next + 0.5 * period_s:
@@ -130,7 +132,8 @@ class SetPointStream:
         return len(self._board.refused)
 
     def summary(self) -> dict[str, Any]:
-        """What `taut stream --json` says of the stream: set-points sent, late and refused, seconds, rate, silences."""
+        """Returns what `taut stream --json` says of the stream: set-points sent, late and refused, seconds, rate in Hz,
+        silences."""
         return {
             "sent": self.sent,
             "seconds": self.seconds,

@@ -1,4 +1,5 @@
-"""An update from its file to firmware that runs: sent, restarted into, talked to; or the old firmware again."""
+"""Updates a board from a file of firmware: sends the image, restarts the board, and waits until the new firmware is
+confirmed or the old one runs again."""
 
 from __future__ import annotations
 
@@ -49,8 +50,9 @@ def update(
     progress: Callable[[float, str], None] | None = None,
 ) -> Updated:
     """Brings new firmware to the board that `where` names (see device.board.find) and waits until it runs and is
-    confirmed. path: an update file; older_too: takes an older version, too; progress: gets the share sent, 0 to 1, and
-    a word. After a TautError the board runs the old one, or has not come back (`finish`)."""
+    confirmed. path: an update file; older_too: whether an older version is taken, too; progress: gets the share sent, 0
+    to 1, and a word. TautError where the board still runs the old firmware, or has not come back (see `send`,
+    `finish`)."""
     return finish(send(where, path, older_too, progress))
 
 
@@ -82,8 +84,9 @@ def send(
 
 
 def finish(sent: Sent) -> Updated:
-    """The second half of `update`: waits until the board is back and its new firmware is confirmed, which being talked
-    to does. TautError where it runs the old one again, or has not come back after _BACK_S."""
+    """The second half of `update`: waits until the board is back and its new firmware is confirmed; asking it, as this
+    does, is what confirms it. TautError where the board runs the old firmware again, or has not come back after
+    _BACK_S."""
     deadline = time.monotonic() + _BACK_S
     trial = wire.code("FIRMWARES", "TRIAL")
     while True:

@@ -52,8 +52,8 @@ class Exported:
 
     @classmethod
     def unpack(cls, host: str, port: int, raw: bytes) -> tuple[Exported, int]:
-        """Decodes a record of a device list, `_DEVICE`: the entry, and how many interface records follow it. host,
-        port: of the server."""
+        """Decodes a record of a device list (_DEVICE): returns the entry, and how many interface records follow it.
+        host, port: of the server."""
         _, busid, bus, device, speed, vendor, product, release, *classes_and_counts = _DEVICE.unpack(raw)
         *device_class, configuration, configurations, interfaces = classes_and_counts
         entry = cls(
@@ -76,7 +76,8 @@ def _receive(sock: socket.socket, size: int) -> bytes:
 
 
 def _connect(host: str, port: int) -> socket.socket:
-    """A socket to the server, _CONNECT_S for connecting and for each call. ENODEV where none answers."""
+    """Connects to the server; the connection and each later call may take _CONNECT_S. Returns the socket. OSError
+    ENODEV where no server answers."""
     try:
         sock = socket.create_connection((host, port), timeout=_CONNECT_S)
     except OSError as error:
@@ -86,7 +87,8 @@ def _connect(host: str, port: int) -> socket.socket:
 
 
 def devices(host: str, port: int) -> list[Exported]:
-    """The devices that the server at host:port exports. ENODEV where no server answers."""
+    """Asks the server at host:port for the devices that it exports. OSError: ENODEV where no server answers, EPROTO
+    where it does not speak USB/IP."""
     with _connect(host, port) as sock:
         try:
             sock.sendall(_OP.pack(VERSION, _OP_DEVLIST, 0))
@@ -115,7 +117,7 @@ _URB_ERRNO = {
 
 @dataclass
 class Urb:
-    """One transfer under way. `status` is None until it is done, then 0 or a negative errno as Linux gives it."""
+    """One transfer. `status` is None while it is under way, then 0 or a negative errno as Linux gives it."""
 
     seqnum: int
     endpoint: int  # without direction
@@ -128,7 +130,7 @@ class Urb:
     context: object = field(default=None, repr=False)  # the caller's
 
     def result(self) -> int:
-        """Number of bytes transferred; OSError where the transfer failed. Only for a transfer that is done."""
+        """Returns the number of bytes that a finished transfer has moved; OSError where it failed."""
         if self.status:
             code = _URB_ERRNO.get(self.status, errno.EIO)
             raise OSError(code, f"endpoint {self.endpoint} {'in' if self.reading else 'out'}: {errno.errorcode[code]}")
@@ -136,8 +138,8 @@ class Urb:
 
 
 class Connection:
-    """An imported device. Any thread may transfer; of those that wait for one, one receives for all, so that no thread
-    of its own is needed."""
+    """An imported device. Any thread may transfer. Of the threads that wait for a transfer one receives for all of
+    them, so that no thread for receiving is needed."""
 
     def __init__(self, device: Exported) -> None:
         """Imports the device from its server. OSError: EBUSY while another host has it, ENODEV where it is gone."""
@@ -181,8 +183,8 @@ class Connection:
         self._socket.close()
 
     def submit(self, endpoint: int, data: bytes | None, length: int = 0, setup: bytes = b"") -> Urb:
-        """Starts a transfer: sends `data`, or receives up to `length` bytes if it is None. setup: the 8-byte set-up
-        packet of a control transfer, on endpoint 0."""
+        """Starts a transfer and returns it: sends `data`, or receives up to `length` bytes if `data` is None. setup:
+        the 8-byte set-up packet of a control transfer, on endpoint 0. OSError ENODEV where the device is gone."""
         reading = data is None
         size = length if data is None else len(data)
         with self._changed:
@@ -200,8 +202,8 @@ class Connection:
         return urb
 
     def unlink(self, urb: Urb) -> None:
-        """Asks the server to cancel a transfer, which then ends normally or with -ECONNRESET. Does nothing for one that
-        is done, or that is being cancelled."""
+        """Asks the server to cancel a transfer, which then ends normally or with status -ECONNRESET. Does nothing for
+        one that is done or is being cancelled already."""
         with self._changed:
             if urb.status is not None or urb.unlink or self.lost:
                 return
@@ -215,7 +217,7 @@ class Connection:
         )
 
     def wait(self, urb: Urb, timeout_s: float | None) -> bool:
-        """Waits until the transfer is done; returns False where it is not within timeout_s (None waits for ever).
+        """Waits until the transfer is done; returns False where that takes longer than timeout_s (None waits for ever).
         Receives what the server sends, unless another thread does so already."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._changed:
@@ -226,7 +228,7 @@ class Connection:
                 if self._receiving:
                     self._changed.wait(left)
                     continue
-                self._receiving = True
+                self._receiving = True  # this thread receives for all, without holding the lock
                 self._changed.release()
                 try:
                     self.receive(left)
@@ -237,9 +239,9 @@ class Connection:
         return True
 
     def transfer(self, endpoint: int, data: bytes | None, length: int, setup: bytes, timeout_ms: int) -> Urb:
-        """Makes one whole transfer: sends `data`, or receives up to `length` bytes if it is None. setup: as in
-        `submit`; timeout_ms: 0 waits for ever. A transfer that has moved bytes before its time-out counts as done.
-        OSError where it fails."""
+        """Makes one whole transfer and returns it: sends `data`, or receives up to `length` bytes if `data` is None.
+        setup: as in `submit`; timeout_ms: 0 waits for ever. At its time-out a transfer is cancelled; one that has moved
+        bytes by then counts as done. OSError where it fails, ETIMEDOUT where it moved none."""
         urb = self.submit(endpoint, data, length, setup)
         try:
             done = self.wait(urb, timeout_ms / 1000.0 if timeout_ms > 0 else None)
@@ -257,7 +259,8 @@ class Connection:
         return urb
 
     def receive(self, timeout_s: float | None) -> list[Urb]:
-        """Takes in what the server sends within the time (None: waits for ever); returns the transfers that ended."""
+        """Takes in what the server sends within timeout_s (None waits for ever); returns the transfers that ended by
+        it. Where the connection has failed, all that were under way end."""
         poll = select.poll()
         try:
             poll.register(self._socket, select.POLLIN)
@@ -275,8 +278,8 @@ class Connection:
             return list(self._completed_transfers())
 
     def _completed_transfers(self) -> Iterator[Urb]:
-        """Decodes the replies in the receive buffer; yields the transfers that they end. An incomplete reply stays in
-        the buffer. A reply of unknown kind, or of more bytes than were asked for, ends the connection."""
+        """Decodes the replies in the receive buffer and yields the transfers that they end; an incomplete reply stays
+        in the buffer. A reply of unknown kind, or with more bytes than were asked for, ends the connection."""
         while len(self._input) >= _URB.size:
             command, seqnum, _, _, _, status, actual, _, _, _, _ = _URB.unpack_from(self._input)
             if command == _RET_SUBMIT:

@@ -60,7 +60,7 @@ def _configuration_descriptor(raw: bytes) -> _Descriptor:
     owner = root
     at = raw[0]
     while at + 2 <= len(raw) and raw[at] >= 2:
-        length, kind = raw[at], raw[at + 1]
+        length, kind = raw[at], raw[at + 1]  # as every descriptor begins
         part = raw[at : at + length]
         if kind == _INTERFACE_TYPE and length >= 9:
             names = (
@@ -112,18 +112,19 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
             return iter([_Device(exported) for exported in usbip.devices(*self._address)])
 
     def get_parent(self, dev: _Device) -> None:
-        """None: the server does not say on which hub a device is."""
+        """Returns None: the server does not say on which hub a device is."""
         return None
 
     def get_device_descriptor(self, dev: _Device) -> _Descriptor:
-        """The device descriptor, read where it was not yet."""
+        """Returns the device descriptor; reads it if it has not been read yet."""
         if dev.descriptor is None:
             self._read_descriptors(dev)
         assert dev.descriptor is not None
         return dev.descriptor
 
     def get_configuration_descriptor(self, dev: _Device, config: int) -> _Descriptor:
-        """The configuration of this index; IndexError where there is none."""
+        """Returns the configuration of this index, with its interfaces; reads it if it has not been read yet.
+        IndexError where there is none."""
         if config not in dev.configurations:
             self._read_descriptors(dev)
         try:
@@ -143,8 +144,8 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return self.get_interface_descriptor(dev, intf, alt, config).children[ep]
 
     def _read_descriptors(self, dev: _Device) -> None:
-        """Fills `dev` with the device's descriptors. A free device is imported to read them; of a busy one a device
-        descriptor is made from what the server's list says, and it has no configurations."""
+        """Fills `dev` with the device's descriptors. A free device is imported to read them. A busy one cannot be: its
+        device descriptor is made from what the server's list says, and it has no configurations."""
         exported = dev.exported
         try:
             with _usb_errors():
@@ -154,7 +155,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
                 raise
             raw = struct.pack("<BBHBBBBHHHBBBB", 18, _DEVICE_TYPE, 0x0200, *exported.device_class, 64, exported.vendor,
                               exported.product, exported.release, 0, 0, 0, exported.configurations)  # fmt: skip
-            dev.descriptor = self._located(_device_descriptor(raw), exported)
+            dev.descriptor = self._with_location(_device_descriptor(raw), exported)
             return
         try:
             self._read_open_descriptors(dev, _Handle(connection))
@@ -164,20 +165,21 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
     def _read_open_descriptors(self, dev: _Device, handle: _Handle) -> None:
         """Fills `dev` with the descriptors of the device that is open as `handle`, by control transfers."""
 
-        def descriptor(kind: int, index: int, length: int) -> bytes:
-            """The bytes of a descriptor of this type and index, `length` at most."""
+        def read_descriptor(kind: int, index: int, length: int) -> bytes:
+            """Reads the bytes of a descriptor of this type and index, `length` at most."""
             return self._control_in(handle, _DEVICE_TO_HOST, _GET_DESCRIPTOR, kind << 8 | index, 0, length)
 
-        dev.descriptor = self._located(_device_descriptor(descriptor(_DEVICE_TYPE, 0, 18)), dev.exported)
+        dev.descriptor = self._with_location(_device_descriptor(read_descriptor(_DEVICE_TYPE, 0, 18)), dev.exported)
         for index in range(dev.descriptor.bNumConfigurations):
-            total = _configuration_descriptor(descriptor(_CONFIGURATION_TYPE, index, 9)).wTotalLength
-            dev.configurations[index] = _configuration_descriptor(descriptor(_CONFIGURATION_TYPE, index, total))
+            total = _configuration_descriptor(read_descriptor(_CONFIGURATION_TYPE, index, 9)).wTotalLength
+            dev.configurations[index] = _configuration_descriptor(read_descriptor(_CONFIGURATION_TYPE, index, total))
         if not dev.configurations:
             raise usb.core.USBError("the device has no configuration", None, errno.EPROTO)
 
     @staticmethod
-    def _located(descriptor: _Descriptor, exported: usbip.Exported) -> _Descriptor:
-        """The device descriptor with what PyUSB wants beside it, from the server's list: bus, address and speed."""
+    def _with_location(descriptor: _Descriptor, exported: usbip.Exported) -> _Descriptor:
+        """Sets on the device descriptor what PyUSB expects beside its fields: bus, address and speed from the server's
+        list, and no port numbers. Returns the descriptor."""
         for name, value in (
             ("bus", exported.bus),
             ("address", exported.device),
@@ -216,7 +218,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return dev_handle.configuration
 
     def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
-        """Sets an interface's alternate setting, by their numbers."""
+        """Selects an alternate setting of an interface, both by their numbers."""
         self._control_out(dev_handle, 0x01, _SET_INTERFACE, altsetting, intf)  # 0x01: to an interface
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
@@ -254,7 +256,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         data: array.array[int],
         timeout: int,
     ) -> int:
-        """A control transfer, with the fields of its set-up packet. data: what is sent, or filled where bmRequestType
+        """Makes a control transfer with these fields of its set-up packet. data: is sent, or filled if bmRequestType
         says device to host; timeout: ms. Returns the number of bytes."""
         size = len(data) * data.itemsize
         setup = struct.pack("<BBHHH", bmRequestType, bRequest, wValue, wIndex, size)
@@ -269,12 +271,13 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
     def _control_in(
         self, handle: _Handle, request_type: int, request: int, value: int, index: int, length: int
     ) -> bytes:
-        """The bytes that a control transfer reads, `length` at most. The others are the fields of its set-up packet."""
+        """Makes a control transfer that reads, and returns the bytes, `length` at most. The other arguments are the
+        fields of its set-up packet."""
         data = array.array("B", bytes(length))
         return data[: self.ctrl_transfer(handle, request_type, request, value, index, data, _CONTROL_MS)].tobytes()
 
     def _control_out(self, handle: _Handle, request_type: int, request: int, value: int, index: int) -> None:
-        """A control transfer without data, with the fields of its set-up packet."""
+        """Makes a control transfer without data; the arguments are the fields of its set-up packet."""
         self.ctrl_transfer(handle, request_type, request, value, index, array.array("B"), _CONTROL_MS)
 
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
@@ -290,7 +293,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         self.set_configuration(dev_handle, dev_handle.configuration)
 
     def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
-        """False: an imported device is this process' own, no driver of the system has it."""
+        """Returns False: an imported device is this process' own, no driver of the system has it."""
         return False
 
 

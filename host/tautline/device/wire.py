@@ -31,8 +31,8 @@ class _Field:
 
     @classmethod
     def of(cls, raw: str, kind: str, count: int) -> _Field:
-        """A field from tl_wire.h. raw: its name there, in which _qN means a fixed-point number with N binary places;
-        kind: its type, "text" or a number's; count: length of an array, else 1."""
+        """Makes a field from its entry in tl_wire.h. raw: its name there, in which _qN means a fixed-point number with
+        N binary places; kind: its type, "text" or a number's; count: length of an array, else 1."""
         match = _SCALE.search(raw)
         zero: Any = "" if kind == "text" else 0 if count == 1 else (0,) * count
         return cls(raw, _SCALE.sub("", raw), 1 << int(match[1]) if match else 0, zero)
@@ -46,7 +46,7 @@ ANSWERS = {name: found[1] for name, m in wire.MESSAGES.items() if (found := re.m
 
 @dataclass(frozen=True)
 class Message:
-    """One that came from a board. Fixed-point arrays are float arrays."""
+    """A message that came from a board. Fixed-point arrays are float arrays."""
 
     name: str
     sequence: int
@@ -61,8 +61,8 @@ class Message:
 
 
 def encode(name: str, sequence: int, **values: Any) -> bytes:
-    """The bytes (frame) of a message. values: fields by name, physical values; those not given are 0, fixed-point ones
-    are rounded and clipped to 32 bits. TypeError for a field that the message does not have."""
+    """Returns the bytes (frame) of a message. values: fields by name, physical values; those not given are 0 or empty,
+    fixed-point ones are rounded and clipped to 32 bits. TypeError for a field that the message does not have."""
     fields = {}
     for field in _FIELDS[name]:
         value = values.pop(field.name, field.zero)
@@ -77,31 +77,32 @@ def encode(name: str, sequence: int, **values: Any) -> bytes:
 
 
 class Decoder:
-    """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped."""
+    """Decodes messages from a stream of bytes. What is no message, or of a newer version, is skipped."""
 
     def __init__(self) -> None:
         """No byte has come yet."""
         self._parser = wire.Parser()
 
     def feed(self, data: bytes) -> Iterator[Message]:
-        """The messages that these bytes complete, together with those fed before; an incomplete frame is kept."""
+        """Yields the messages that these bytes complete, together with those fed before; an incomplete frame is
+        kept."""
         for name, _, sequence, fields in self._parser.feed(data):
             if name is not None and fields is not None:
                 yield Message(name, sequence, {f.name: self._value(fields[f.raw], f.scale) for f in _FIELDS[name]})
 
     @staticmethod
     def _value(raw: Any, scale: int) -> Any:
-        """A field's physical value, raw / scale, a float; with scale 0 the integer as it is. A tuple of numbers becomes
-        an array (n,)."""
+        """Returns a field's physical value, raw / scale, a float; with scale 0 the integer as it is. A tuple of numbers
+        becomes an array (n,)."""
         if not scale:
             return np.array(raw) if isinstance(raw, tuple) else raw
         return np.array(raw) / scale if isinstance(raw, tuple) else raw / scale
 
 
 def set_point_values(positions: Any, scale: float) -> np.ndarray:
-    """Positions, a number or any array, as integers for the field `value` of the message set_point. Its scale depends
-    on what the axis follows: DEG for angles of the tip in deg, COUNT for motor positions in counts. TautError where a
-    position is not a number or needs more than 32 bits."""
+    """Converts positions, a number or any array, to integers for the field `value` of the message set_point: position
+    times scale, rounded. scale: DEG for angles of the tip in deg, COUNT for motor positions in counts. TautError where
+    a position is not a number or needs more than 32 bits."""
     values: np.ndarray = np.rint(np.asarray(positions, dtype=np.float64) * scale)
     most = 2**31 - 1
     if not (worst := float(np.max(np.abs(values), initial=0.0))) <= most:
@@ -118,12 +119,14 @@ def code(list_name: str, name: str) -> int:
 
 
 def name(list_name: str, number: int) -> str:
-    """The name of a number in one of tl_wire.h's lists, the number itself where this version does not know it."""
+    """Returns the name of a number in one of tl_wire.h's lists; the number as text where this version does not know
+    it."""
     return next((each for each, (value, _) in getattr(wire, list_name).items() if value == number), str(number))
 
 
 def text(list_name: str, number: int) -> str:
-    """The text of a number in one of tl_wire.h's lists, such as text("REASONS", 3)."""
+    """Returns the text of a number in one of tl_wire.h's lists, such as text("REASONS", 3); "code N, unknown to this
+    version of tautline" for a number N that is not in the list."""
     for value, says in getattr(wire, list_name).values():
         if value == number:
             return str(says)
@@ -141,8 +144,8 @@ def fault_meaning(status: Message) -> str | None:
 
 
 def fault_text(number: int, value: int) -> str:
-    """The text of a fault, by its number in TL_WIRE_FAULTS, with the measured value put before the unit in brackets:
-    "(mA)" becomes "(350 mA)"."""
+    """Returns the text of a fault, by its number in TL_WIRE_FAULTS, with the measured value put before the unit in the
+    first brackets: "(mA)" becomes "(350 mA)"."""
     says = text("FAULTS", number)
     return _MEASURED.sub(lambda found: f"({found[1] or ''}{value}{found[2] or ' '}{found[3]})", says, 1)
 
@@ -153,6 +156,7 @@ def flags(number: int) -> list[str]:
 
 
 def table_reason(number: int) -> str:
-    """The text of why a board refused a table (tl_table.h), by the number in its status, from 1 on."""
+    """Returns the text of why a board refused a table (tl_table.h). number: the reason in the axis' status, from 1
+    on."""
     reasons = list(_native.TABLE_REASONS.values())
     return str(reasons[number - 1]) if 0 < number <= len(reasons) else f"reason {number}"

@@ -30,12 +30,12 @@ class Kind:
 
     @property
     def installed(self) -> bool:
-        """Whether its library can be imported."""
+        """Whether the library of this kind can be imported."""
         return find_spec(self.package) is not None
 
     @property
     def remedy(self) -> str:
-        """The command that installs its library."""
+        """The command that installs the library of this kind."""
         return f"pip install 'tautline-robotics[{self.extra}]'"
 
 
@@ -98,11 +98,11 @@ def parse(where: str) -> Address:
     range, or the kind's library is not installed."""
     name, _, options_text = where.partition("?")
     kind, _, rest = name.partition(":")
-    module = _module(kind)
+    module = _driver_module(kind)
     id_pattern = r"[^:,?]+" if KINDS[kind].ids is None else r"\d+"
     match = re.fullmatch(rf"(.+?)(?::({id_pattern}(?:,{id_pattern})*))?", rest)
     if not match:
-        raise _wrong(where, kind, "names no bus")
+        raise _address_error(where, kind, "names no bus")
     numbers = _checked_numbers(where, kind, (match[2] or "1").split(","))
     defaults: dict[str, float] = {"rate": module.RATE_HZ} | ({"baud": module.BAUD} if module.BAUD else {})
     options = _checked_options(where, kind, options_text, defaults)
@@ -111,42 +111,45 @@ def parse(where: str) -> Address:
 
 
 def _checked_numbers(where: str, kind: str, named: list[str]) -> tuple[int | str, ...]:
-    """The motors' ids as integers, or their names where the kind has names. TautError where one is out of range or
-    named twice, or they are more than a board has axes."""
+    """Returns the motors' ids as integers, or their names where the kind has names. TautError where one is out of range
+    or is named twice, or where there are more of them than a board has axes."""
     ids = KINDS[kind].ids
     numbers: tuple[int | str, ...] = tuple(named) if ids is None else tuple(map(int, named))
     if ids is not None and (other := next((n for n in numbers if n not in ids), None)) is not None:
-        raise _wrong(where, kind, f"names motor {other}, and {ids[0]} to {ids[-1]} may be")
+        raise _address_error(where, kind, f"names motor {other}, and {ids[0]} to {ids[-1]} may be")
     if len(set(numbers)) != len(numbers) or not 1 <= len(numbers) <= wire.wire.AXES_MAX:
-        raise _wrong(where, kind, f"names {len(numbers)} motors, and 1 to {wire.wire.AXES_MAX} different ones may be")
+        raise _address_error(
+            where, kind, f"names {len(numbers)} motors, and 1 to {wire.wire.AXES_MAX} different ones may be"
+        )
     return numbers
 
 
 def _checked_options(where: str, kind: str, text: str, defaults: dict[str, float]) -> dict[str, float]:
-    """`defaults` (rate, Hz; baud, bit/s, where the kind has one) with what `text`, KEY=NUMBER&..., says instead.
-    TautError for another key, no number, or a rate out of _RATES_HZ."""
+    """Returns `defaults` (rate, Hz; baud, bit/s, where the kind has one), replaced by what the address says in `text`,
+    KEY=NUMBER&... TautError for another key, for what is no number, or for a rate out of _RATES_HZ."""
     values = dict(defaults)
     for part in filter(None, text.split("&")):
         key, _, value = part.partition("=")
         if key not in values or not re.fullmatch(r"\d+(\.\d+)?", value):
             # rate=HZ, baud=BAUD
             takes = " and ".join(f"{name}={name.upper().replace('RATE', 'HZ')}" for name in values)
-            raise _wrong(where, kind, f"has '{part}', and takes {takes}")
+            raise _address_error(where, kind, f"has '{part}', and takes {takes}")
         values[key] = float(value)
     low, high = _RATES_HZ
     if not low <= values["rate"] <= high:
-        raise _wrong(where, kind, f"asks for {values['rate']:g} Hz, and {low:g} to {high:g} may be")
+        raise _address_error(where, kind, f"asks for {values['rate']:g} Hz, and {low:g} to {high:g} may be")
     return values
 
 
-def _wrong(where: str, kind: str, says: str) -> TautError:
-    """The error to raise for an address of --board: what is wrong with it (`says`), and a right one of its kind."""
+def _address_error(where: str, kind: str, says: str) -> TautError:
+    """Returns the error to raise for an address of --board: what is wrong with it (`says`), and a right one of its
+    kind."""
     return TautError(f"--board {where}: {says}, such as in {KINDS[kind].example}")
 
 
-def _module(kind: str) -> Any:
-    """The module of the kind's driver, which has RATE_HZ and BAUD as defaults. TautError where the library that it
-    needs is not installed."""
+def _driver_module(kind: str) -> Any:
+    """Imports the module of the kind's driver, which has RATE_HZ (Hz) and BAUD (bit/s, 0 for none) as defaults.
+    TautError where the library that it needs is not installed."""
     try:
         return importlib.import_module(f"tautline.drivers.{KINDS[kind].module}")
     except ModuleNotFoundError as error:
@@ -158,17 +161,17 @@ def _module(kind: str) -> Any:
 def open_drives(address: Address, **options: Any) -> Drives:
     """Opens the bus of an address and returns its driver. options: further arguments of the driver's class, such as
     clock. TautError where the bus cannot be opened or a motor does not answer."""
-    make: Callable[..., Drives] = getattr(_module(address.kind), KINDS[address.kind].driver)
+    make: Callable[..., Drives] = getattr(_driver_module(address.kind), KINDS[address.kind].driver)
     return make(address.bus, address.numbers, address.baud, address.rate_hz, **options)
 
 
 def find_motors(where: str) -> list[BoardAddress]:
-    """The motors of an address, not opened yet, as the one board that `device.board.find` lists: with them open, the
-    board's application runs on the host (HostedLink). TautError where the address is malformed."""
+    """Returns the motors of an address, not opened yet, as a list of one board, as `device.board.find` does: once they
+    are open, the board's application runs on the host (HostedLink). TautError where the address is malformed."""
     address = parse(where)
 
-    def opened() -> Link:
-        """Opens the drives and the application over them."""
+    def open_link() -> Link:
+        """Opens the drives, and the application over them; closes the drives if that fails."""
         drives = open_drives(address)
         try:
             return HostedLink(drives, address.where, address.rate_hz)
@@ -177,4 +180,4 @@ def find_motors(where: str) -> list[BoardAddress]:
             raise
 
     protocol = (wire.wire.MAJOR, wire.wire.MINOR)  # the application's, which is of this version
-    return [BoardAddress(where=address.where, serial=None, busy=False, protocol=protocol, open=opened)]
+    return [BoardAddress(where=address.where, serial=None, busy=False, protocol=protocol, open=open_link)]

@@ -23,14 +23,14 @@ BAUD, RATE_HZ = 1_000_000, 250.0
 _ANSWER_S = 0.01  # tolerance: of all drives to a SYNC
 _SDO_S = 0.3  # tolerance: of a drive, about an object
 _STATE_S = 1.0  # tolerance: of a drive, to change its state or mode
-_HOST, _HEARTBEAT_S, _LOST_MS = 0x7F, 0.02, 100  # the host as a node, what it says so often, and is missed after
+_HOST, _HEARTBEAT_S, _LOST_MS = 0x7F, 0.02, 100  # the host's node id; its heartbeat's period; when it is missed
 _PRE_OPERATIONAL, _START = 0x80, 0x01  # of network management
 _CSP, _HOMING = 8, 6
 _QUICK_STOP = 3  # of the option for a lost connection
 _FAULT, _VOLTAGE_OFF, _SHUT_DOWN, _SWITCH_ON, _OPERATE = 0x80, 0x00, 0x06, 0x07, 0x0F
 _READY, _ON, _OPERATIONAL = 0x21, 0x23, 0x27
 _PERIOD_MOST = 255  # format: of a cycle, ms or 0.1 ms: in one byte
-_STARTS_MOST = 40.0  # tolerance: of accelerations none is used that reaches top speed within less than 25 ms
+_STARTS_MOST = 40.0  # tolerance: 1/s, acceleration over top speed: none is used that takes less than 25 ms to it
 
 # Objects of CiA 301 and 402.
 _DEVICE, _HARDWARE, _SOFTWARE = (0x1008, 0), (0x1009, 0), (0x100A, 0)
@@ -48,7 +48,7 @@ class Cia402:
 
     watchdog = "the drives' own: the host's heartbeat is missed, then a quick stop"
     rest_s = _LOST_MS * 1e-3
-    enable_s = 3.0 * _STATE_S  # ready, on, operational: a brake is released in the last
+    enable_s = 3.0 * _STATE_S  # for three states: ready, on, and operational, in which a brake is released
 
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
@@ -74,7 +74,7 @@ class Cia402:
         try:
             objects = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
             self._nodes = {n: self._network.add_node(n, objects) for n in self._numbers}
-            self.drives = [self._describe(node, 1.0 / rate_hz) for node in self._numbers]
+            self.drives = [self._configure(node, 1.0 / rate_hz) for node in self._numbers]
         except BaseException:
             self._network.disconnect()
             raise
@@ -82,7 +82,7 @@ class Cia402:
     # -- objects, while nothing moves -----------------------------------------------------------------------------
 
     def _read(self, node: int, index: tuple[int, int]) -> bytes:
-        """The bytes of a drive's object (index, subindex), little-endian."""
+        """Reads a drive's object (index, subindex) by SDO: its bytes, little-endian."""
         return self._retry(node, index, lambda: self._nodes[node].sdo.upload(*index))
 
     def _write(self, node: int, index: tuple[int, int], value: int, size: int) -> None:
@@ -91,8 +91,8 @@ class Cia402:
         self._retry(node, index, lambda: self._nodes[node].sdo.download(*index, data))
 
     def _retry(self, node: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
-        """Calls `ask`, an SDO transfer of the object `index` with the node of this id, with canopen's retries. _Refused
-        where the drive refuses it, TautError where it does not answer."""
+        """Calls `ask`, an SDO transfer of the object `index` with the node of this id, with canopen's own time-out and
+        retries set for it. _Refused where the drive refuses it, TautError where it does not answer."""
         self._nodes[node].sdo.RESPONSE_TIMEOUT, self._nodes[node].sdo.MAX_RETRIES = _SDO_S, 3
         try:
             return ask()
@@ -102,8 +102,8 @@ class Cia402:
             raise TautError(f"canopen {node} does not answer ({error}): check power, node id and bit rate") from error
 
     def _read_number(self, node: int, index: tuple[int, int], otherwise: float | None = None) -> float:
-        """Reads a number from the drive's object dictionary; gives `otherwise` (None: raises _Refused) where it has no
-        such object. Unsigned, but for the position limits."""
+        """Reads a number, unsigned but for the position limits, from the drive's object dictionary. Where the drive has
+        no such object: returns `otherwise`, or raises _Refused if that is None."""
         try:
             data = self._read(node, index)
         except _Refused:
@@ -119,15 +119,15 @@ class Cia402:
         except _Refused:
             return ""
 
-    def _describe(self, node: int, period_s: float) -> Drive:
-        """Configures a drive for cyclic synchronous positions with this period and returns what it is. TautError where
-        it cannot have this period, or lacks an object that is needed."""
+    def _configure(self, node: int, period_s: float) -> Drive:
+        """Configures a drive for cyclic synchronous positions with this period, starts its node, and returns its
+        description. TautError where it cannot have this period, or lacks an object that is needed."""
         self._set_network_state(node, _PRE_OPERATIONAL)  # the state in which process data can be mapped
         counts_per_turn, limits = self._read_limits(node)
         answer, rest = [(*_STATUS, 16), (*_POSITION, 32)], [(*_VELOCITY, 32), (*_CURRENT, 16)]
         told = [(*_CONTROL, 16), (*_TARGET, 32)]
         self._map_process_data(node, mapping=0x1A00, parameters=0x1800, cob=0x180, objects=answer)  # TPDO 1
-        with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
+        with contextlib.suppress(_Refused):  # a drive that lacks speed or current sends neither
             self._map_process_data(node, mapping=0x1A01, parameters=0x1801, cob=0x280, objects=rest)  # TPDO 2
         self._map_process_data(node, mapping=0x1600, parameters=0x1400, cob=0x200, objects=told)  # RPDO 1
         self._set_period(node, period_s)
@@ -143,9 +143,9 @@ class Cia402:
         return Drive(node, model, versions or "-", round(counts_per_turn), limits, referenced=homed)
 
     def _read_limits(self, node: int) -> tuple[float, DriveLimits]:
-        """A drive's counts per turn and its limits, in counts. Without position limits they are +-RANGE; acceleration
-        is at most _STARTS_MOST times the speed a second, and STARTS times it where the drive limits none. Keeps the
-        rated current, mA, for `measure`."""
+        """Reads a drive's counts per turn and its limits: counts, counts/s, counts/s2, mA. Without position limits they
+        are +-RANGE; acceleration is at most _STARTS_MOST times the speed a second, and STARTS times it where the drive
+        limits none. Keeps the rated current, mA, for `measure`."""
         counts_per_turn = self._read_number(node, _INCREMENTS) / max(self._read_number(node, _REVOLUTIONS, 1.0), 1.0)
         speed = self._read_number(node, _MOTOR_RPM) / 60.0 * counts_per_turn
         acceleration = self._read_number(node, _ACCELERATION_MOST, 0.0) or STARTS * speed
@@ -158,8 +158,8 @@ class Cia402:
         return counts_per_turn, DriveLimits(max(low, -RANGE), min(high, RANGE), speed, acceleration, current_ma)
 
     def _set_period(self, node: int, period_s: float) -> None:
-        """Tells a drive the time between SYNCs, as one byte times a power of ten of a second. TautError where that
-        cannot hold this period."""
+        """Tells a drive the time between SYNCs as a whole number of ms, else of 0.1 ms, in one byte. TautError where
+        that cannot hold this period."""
         power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4  # whole ms, else 0.1 ms
         units = round(period_s * 10**-power)
         if abs(period_s * 10**-power - units) > 1e-6 or units > _PERIOD_MOST:
@@ -170,8 +170,8 @@ class Cia402:
 
     def _is_homed(self, node: int) -> bool:
         """Whether the drive has been homed: bit 12 of the status in homing mode (in other modes it means something
-        else). One that does not enter the mode is not homed. The drive is left in homing mode: the caller sets the mode
-        that it is used in, _CSP, afterwards."""
+        else). False for a drive that does not enter this mode within _STATE_S. The drive is left in homing mode: the
+        caller sets _CSP, in which it is used, afterwards."""
         try:
             self._write(node, _MODE, _HOMING, 1)
             deadline = time.monotonic() + _STATE_S
@@ -199,8 +199,8 @@ class Cia402:
     # -- cycles ---------------------------------------------------------------------------------------------------
 
     def _on_position(self, cob: int, data: bytearray, stamp: float) -> None:
-        """Callback of canopen's thread: keeps a drive's answer to a SYNC, status word and counts. cob: 180h plus the
-        node id; stamp: canopen's, unused."""
+        """Callback of canopen's thread: keeps a drive's answer to a SYNC, status word and counts, and wakes `measure`.
+        cob: 180h plus the node id; stamp: canopen's, unused."""
         if len(data) == 6:
             with self._answered:
                 self._positions[cob - 0x180] = struct.unpack("<Hi", data)
@@ -221,7 +221,7 @@ class Cia402:
             raise Missed(f"the bus takes nothing ({error})") from error
 
     def _set_network_state(self, node: int, state: int) -> None:
-        """Sends a node to a state of CANopen's network management; state: a command such as _START."""
+        """Sends a command of CANopen's network management, such as _START, to a node, which changes its state."""
         self._send(0x000, bytes((state, node)))
 
     def _send_heartbeat(self) -> None:
@@ -231,8 +231,9 @@ class Cia402:
             self._beat_s = self._clock()
 
     def measure(self) -> list[Measured]:
-        """Sends a SYNC and returns each drive's position, speed, current and status at it, in the order of `drives`.
-        Missed where one does not answer within _ANSWER_S."""
+        """Sends a SYNC and returns each drive's position, speed, current and fault at it, in the order of `drives`.
+        Missed where one does not answer within _ANSWER_S. An answer to an earlier SYNC that comes late is told apart by
+        counting answers."""
         self._send_heartbeat()
         with self._answered:
             self._positions.clear()
@@ -243,44 +244,44 @@ class Cia402:
         with self._answered:
             self._answered.wait_for(lambda: not any(self._unanswered.values()), _ANSWER_S)
             heard = dict(self._positions)
-            # A drive answers SYNCs in their order: where it says no more, what it still owes was lost before.
+            # A drive answers SYNCs in their order. If it answered and still owes answers, an earlier one was lost.
             self._unanswered |= dict.fromkeys(heard, 0)
         if len(heard) < len(self._numbers):
             raise Missed("no answer to a SYNC")
         return [self._measured(node, sent_s, *heard[node]) for node in self._numbers]
 
     def _measured(self, node: int, t_s: float, status: int, counts: int) -> Measured:
-        """A drive's answer to the SYNC that was sent at t_s, the moment at which drives sample. status: its status
-        word, whose bit 3 is a fault; counts: its position; speed and current are the last that came."""
+        """Converts a drive's answer to the SYNC that was sent at t_s, s, when drives sample. status: its status word,
+        whose bit 3 is a fault; counts: its position; its speed and current are the last that came."""
         speed, share = self._speeds.get(node, (0, 0))
         fault = f"drive {node} has a fault" if status & 0x08 else ""
         current_ma = share * self._rated_ma[node] / 1000.0
         return Measured(t_s, q=float(counts), velocity=float(speed), current_ma=current_ma, fault=fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
-        """Sends each drive the counts that it goes to at the next SYNC; None sends one nothing."""
+        """Sends each drive the position, counts, that it goes to at the next SYNC; for None it sends nothing."""
         for node, goal in zip(self._numbers, goals, strict=True):
             if goal is not None:
                 self._send(0x200 + node, struct.pack("<Hi", _OPERATE, round(goal.q)))
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches a drive off, or through CiA 402's states on; then it holds where it is. A fault is cleared first.
-        TautError where it does not reach a state."""
+        """Switches a drive off, or on, through the states of CiA 402; switched on it holds where it is. A fault is
+        cleared first. TautError where it does not reach a state."""
         node = self._numbers[axis]
         if not on:
             # In place of a set-point that still waits for its SYNC.
             self._send(0x200 + node, struct.pack("<Hi", _VOLTAGE_OFF, 0))
             self._write(node, _CONTROL, _VOLTAGE_OFF, 2)
             return
-        here = int.from_bytes(self._read(node, _POSITION), "little", signed=True)
-        self._write(node, _TARGET, here, 4)
+        position = int.from_bytes(self._read(node, _POSITION), "little", signed=True)
+        self._write(node, _TARGET, position, 4)
         self._write(node, _CONTROL, _FAULT, 2)  # clears it
         for control, state in ((_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)):
             self._write(node, _CONTROL, control, 2)
             self._wait_for_state(node, state)
 
     def _wait_for_state(self, node: int, state: int) -> None:
-        """Waits until the drive's status word shows this state, in the bits 6Fh that CiA 402 has for it, sending
+        """Waits until the drive's status word, in the bits 6Fh that CiA 402 has for the state, is `state`; sends
         heartbeats meanwhile. TautError after _STATE_S."""
         deadline = time.monotonic() + _STATE_S
         while (status := int.from_bytes(self._read(node, _STATUS), "little")) & 0x6F != state:
@@ -305,4 +306,4 @@ class Cia402:
 
 
 class _Refused(TautError):
-    """The drive has no such object, or not this value of it."""
+    """The drive has no such object, or does not take this value of it."""

@@ -42,7 +42,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """Of one drive, as it is configured."""
+    """The limits of one drive, as it is configured."""
 
     q_low: float  # counts
     q_high: float
@@ -65,8 +65,8 @@ class Drive:
 
 
 def all_off(axes: int, enable: Callable[[int, bool], None]) -> None:
-    """Calls enable(axis, False) for each of so many axes, also after one has failed; then raises the first TautError
-    of them: a motor that cannot be reached must not keep the others on."""
+    """Calls enable(axis, False) for each of the axes 0 to axes - 1, also after one has failed: a motor that cannot be
+    reached must not keep the others on. Raises the first TautError afterwards."""
     errors = []
     for axis in range(axes):
         try:
@@ -82,11 +82,12 @@ class Drives(Protocol):
 
     drives: Sequence[Drive]
     rest_s: float  # at the longest, from the last set-point to the beginning of the stop, where the host is lost
-    watchdog: str  # what does that
-    enable_s: float  # at the longest, that switching one on takes: a brake, a slow adapter
+    watchdog: str  # what stops the drives then, in words
+    enable_s: float  # the longest that switching one on takes, with its brake or a slow adapter
 
     def measure(self) -> list[Measured]:
-        """Asks every drive where it is; answers in the order of `drives`. Missed where an answer did not come."""
+        """Asks every drive where it is; returns the answers in the order of `drives`. Missed where one does not
+        come."""
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Sends each drive its set-point, in the order of `drives`; None leaves one as it is."""

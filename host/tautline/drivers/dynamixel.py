@@ -57,8 +57,9 @@ class Dynamixel(SerialServos):
         super().__init__(dynamixel_sdk, protocol=2.0, bus=bus, numbers=numbers, baud=baud, clock=clock)
 
     def describe(self, number: int) -> Drive:
-        """A servo's limits (counts, counts/s, counts/s2, mA), model and firmware from its registers. TautError where
-        it is not in a position mode."""
+        """Reads a servo's limits (counts, counts/s, counts/s2, mA), model and firmware from its registers. In extended
+        position mode, 4, its position limits are those of the mode; current_ma is 0 for a model that measures none.
+        TautError where it is not in a position mode."""
         mode, model = self.read(number, _MODE), self.read(number, _MODEL)
         if mode not in (3, 4):
             raise TautError(
@@ -76,7 +77,7 @@ class Dynamixel(SerialServos):
         return Drive(number, f"model {model}", firmware, _COUNTS_PER_TURN, limits, referenced=True)
 
     def measure(self) -> list[Measured]:
-        """Positions of all servos by one sync read. Every _ASK_ERRORS cycles one servo, the next one each time, is also
+        """Measures all servos by one sync read. Every _ASK_ERRORS cycles one servo, the next one each time, is also
         asked for its hardware errors, which the sync read does not contain."""
         measured = super().measure()
         self._cycles += 1
@@ -88,7 +89,8 @@ class Dynamixel(SerialServos):
         return measured
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
-        """A servo's answer to the sync read, _STATE, as counts, counts/s and mA. t_s: the middle of the round trip."""
+        """Converts a servo's answer to the sync read, _STATE, to counts, counts/s and mA. t_s: the middle of the round
+        trip, s."""
         current, velocity, position = struct.unpack("<hii", state)
         number = self.numbers[axis]
         return Measured(
@@ -100,11 +102,11 @@ class Dynamixel(SerialServos):
         )
 
     def encoded(self, goal: int) -> bytes:
-        """A goal, counts, as the register's 4 bytes."""
+        """Encodes a goal, counts, as the goal register's 4 bytes."""
         return struct.pack("<i", goal)
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches a servo's torque on, holding its position under the bus watchdog, or off."""
+        """Switches a servo's torque on, with its position as its goal and under the bus watchdog, or off."""
         number = self.numbers[axis]
         if not on:
             self.write(number, _TORQUE, 0)

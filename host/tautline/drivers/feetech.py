@@ -18,7 +18,7 @@ from tautline.errors import TautError
 BAUD, RATE_HZ = 1_000_000, 100.0
 _COUNTS_PER_TURN = 4096
 _SPEED = 3000.0  # prior: counts/s: no register says a servo's own; what an STS3215 reaches at 7.4 V
-_OWN = 1.2  # tolerance: times the planned speed that a servo may go, to catch up with its set-points
+_OWN = 1.2  # tolerance: factor of the planned top speed up to which a servo may catch up with its set-points
 _MA = 6.5  # format: of a unit of current
 _MANY_TURNS = 30719  # format: counts either way, of a servo without angle limits
 _ERRORS = {0: "voltage", 1: "encoder", 2: "heat", 3: "current", 5: "overload"}
@@ -46,8 +46,8 @@ class Feetech(SerialServos):
         super().__init__(scservo_sdk, protocol=0, bus=bus, numbers=numbers, baud=baud, clock=clock)
 
     def describe(self, number: int) -> Drive:
-        """A servo's limits (counts, counts/s), model and firmware from its registers. TautError where it is not in
-        position mode."""
+        """Reads a servo's limits (counts, counts/s, counts/s2), model and firmware from its registers; its speed is a
+        prior, as no register says it. TautError where the servo is not in position mode."""
         mode = self.read(number, _MODE)
         if mode != 0:
             raise TautError(f"feetech {number}: mode {mode}: set 0 (position) with Feetech's tools")
@@ -60,19 +60,20 @@ class Feetech(SerialServos):
         return Drive(number, f"model {self.read(number, _MODEL)}", version, _COUNTS_PER_TURN, limits, referenced=True)
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
-        """A servo's answer to the sync read, _STATE, as counts, counts/s and mA. t_s: the middle of the round trip."""
+        """Converts a servo's answer to the sync read, _STATE, to counts, counts/s and mA. t_s: the middle of the round
+        trip, s."""
         position, speed, current_ma = _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA
         fault = ", ".join(name for bit, name in _ERRORS.items() if state[9] >> bit & 1)
         return Measured(t_s, position, speed, current_ma, fault)
 
     def encoded(self, goal: int) -> bytes:
-        """A position, counts, as the goal register's 2 bytes, of which bit 15 is the sign. Beyond +-32767 it is
-        clipped: the axis then sees that it stays behind."""
+        """Encodes a goal, counts, as the goal register's 2 bytes, in which bit 15 is the sign. Beyond +-32767 it is
+        clipped: the axis then sees that the servo stays behind."""
         goal = max(-0x7FFF, min(goal, 0x7FFF))
         return (abs(goal) | (0x8000 if goal < 0 else 0)).to_bytes(2, "little")
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches a servo's torque on, holding its position, or off."""
+        """Switches a servo's torque on, with its position as its goal, or off."""
         number = self.numbers[axis]
         if on:
             self.write(number, _OWN_ACCELERATION, 0)  # the application plans; the servo's own profile would lag
@@ -83,6 +84,6 @@ class Feetech(SerialServos):
 
 
 def _signed(data: bytes) -> float:
-    """The number in a register's 2 bytes, little-endian, of which bit 15 is the sign and the rest the magnitude."""
+    """Decodes a register's 2 bytes, little-endian, in which bit 15 is the sign and the rest the magnitude."""
     raw = int.from_bytes(data, "little")
     return float(-(raw & 0x7FFF) if raw & 0x8000 else raw)

@@ -27,11 +27,11 @@ from tautline.errors import TautError
 _Q8 = 256.0
 _FARTHEST = 0x7FFFFF  # format: counts, of the application's 32 bits in Q8
 _LOST_S = 0.1  # without an answer a drive is lost: the application's own longest pause, and most drives' watchdog
-_FORGET = 0.998  # per cycle in motion, of what is known of the lag
-_SLOW = 0.02  # of the speed limit: below it a lag is not seen
-_LAG_MOST_S = 0.2
-_FOLLOWING_S = 0.15  # of motion at the speed limit: how far a drive may be behind
-_CHECK_SHARE = 0.05  # of the speed limit, at which the first enable looks whether a drive moves
+_FORGET = 0.998  # factor, per cycle in motion, by which older cycles count less for the lag
+_SLOW = 0.02  # of the speed limit: in slower motion a lag is not measured
+_LAG_MOST_S = 0.2  # a larger lag is taken as this one
+_FOLLOWING_S = 0.15  # a drive may be as far behind as it goes in this time at the speed limit
+_CHECK_SHARE = 0.05  # of the speed limit: the speed at which the first enable checks whether a drive moves
 _LOW_DUTY, _FRICTION, _CHECK_PUSH = 8192, 0, 2621  # of the application's check; see hosted/actuator.h
 
 
@@ -50,8 +50,8 @@ class Timing:
 
 
 def flash_file(where: str) -> Path:
-    """The path of the file that keeps tables and settings for the drives at the address `where`, as a board keeps them
-    in flash: below $XDG_STATE_HOME."""
+    """Returns the path of the file that keeps tables and settings for the drives at the address `where`, as a board
+    keeps them in flash: below $XDG_STATE_HOME."""
     base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return base / "tautline" / f"{where.split(':')[0]}-{hashlib.sha256(where.encode()).hexdigest()[:16]}.bin"
 
@@ -65,8 +65,8 @@ class HostedLink:
         self, drives: Drives, where: str, rate_hz: float, clock: Clock = time.monotonic, paced: bool = True
     ) -> None:
         """Starts the application at the drives' positions. where: the drives' address, which names their flash file;
-        paced: a thread calls `cycle` by the wall clock; else whoever owns the time does. TautError where the drives or
-        the flash file cannot be used."""
+        rate_hz: of the control cycles; paced: whether a thread calls `cycle` by the wall clock, else the caller does.
+        TautError where the drives or the flash file cannot be used."""
         self.drives, self.where, self.period_s, self.timing = drives, where, 1.0 / rate_hz, Timing()
         self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)  # ms between rows of a log: one each cycle
         self._clock, self._epoch_s = clock, clock()
@@ -76,7 +76,7 @@ class HostedLink:
         self._answered_s = self._epoch_s  # when the drives answered last
         # Of the steps from one measurement to the next, neither missed: sum of (step - period)^2, s^2, and count.
         self._squared_deviations, self._steps_counted = 0.0, 0
-        self._steady = False  # whether the cycle before was not missed either
+        self._last_cycle_whole = False  # whether the cycle before was not missed
         self._lag_sums = [np.zeros(2) for _ in drives.drives]  # of lag times speed, of speed squared, while it moves
         self._lags_s = [0.0 for _ in drives.drives]  # their quotients, s
         self._enabled = [False for _ in drives.drives]
@@ -114,9 +114,9 @@ class HostedLink:
         raise AssertionError
 
     def _as_application_rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
-        """Measurements as the application takes them, a row (counts Q8, mA, whether there is a fault) for each axis.
-        whole: rounds positions to whole counts. TautError where a position does not fit into the application's 32
-        bits."""
+        """Converts measurements, one of each drive, to what the application takes: a row (counts Q8, mA, whether there
+        is a fault) for each axis. whole: whether positions are rounded to whole counts. TautError where a position does
+        not fit into the application's 32 bits."""
         counts = [m.q * scale for m, scale in zip(measured, self._scales, strict=True)]
         for drive, q in zip(self.drives.drives, counts, strict=True):
             if not abs(q) <= _FARTHEST:
@@ -124,21 +124,22 @@ class HostedLink:
                     f"{self.where}: motor {drive.number} is at {q:.0f} counts, and up to {_FARTHEST} can be counted: "
                     "set its zero nearer with its maker's tools"
                 )
-        places = [round(q) * round(_Q8) if whole else round(q * _Q8) for q in counts]
-        return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
+        counts_q8 = [round(q) * round(_Q8) if whole else round(q * _Q8) for q in counts]
+        return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(counts_q8, measured, strict=True)]
 
     def _adopt_limits_and_positions(self, first: list[float]) -> None:
-        """Sets the axes' positions to `first`, the drives' in the application's counts, for drives that know theirs;
-        where no settings are stored, also the axes' settings, from the drives' limits. hold_ms is 0: an axis that is on
-        holds until its host is lost or says otherwise."""
+        """Sets the axes' positions to `first`, the drives' in the application's counts, for drives that know theirs.
+        Where the flash file holds no settings, also sets and stores the axes' settings from the drives' limits, with
+        hold_ms 0: an axis that is on holds until its host is lost or says otherwise."""
         ask = self._ask_application
         ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
-        fresh = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
+        is_unset = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
         for axis, drive in enumerate(self.drives.drives):
             settings = dict(ask("get_settings", axis=axis).values)
-            if fresh:
+            if is_unset:
                 limits, scale = drive.limits, self._scales[axis]
                 speed = limits.speed * scale
+                # feed_forward, duty per 1000 counts/s: the check's push then moves at _CHECK_SHARE of the speed limit.
                 settings.update(
                     key=wire.wire.KEY, q_low=limits.q_low * scale, q_high=limits.q_high * scale, speed_s=speed,
                     acceleration_s2=min(limits.acceleration * scale, _native.HOSTED_ACCELERATION_MAX),
@@ -153,8 +154,8 @@ class HostedLink:
         self._save_flash()
 
     def _ask_application(self, name: str, **values: Any) -> wire.Message:
-        """Sends the application a message from this link itself, as a host would, and returns the answer to it.
-        TautError where the application refuses, as it does limits of a drive that it cannot use."""
+        """Sends the application a message of this link's own, as a host would, and returns its answer. TautError where
+        the application refuses, as it does limits that it cannot use."""
         self._board.receive(wire.encode(name, 1, **values), self._us(self._clock()))
         for message in wire.Decoder().feed(self._board.transmit()):
             if message.sequence == 1 and message.name not in ("batch", "event", "progress", "onset"):
@@ -165,14 +166,14 @@ class HostedLink:
         raise AssertionError(f"the application answers '{name}'")
 
     def _us(self, t_s: float) -> int:
-        """A time of the clock, s, as the application's: us since the link was opened; never below 0."""
+        """Converts a time of the clock, s, to the application's: us since the link was opened; never below 0."""
         return max(round((t_s - self._epoch_s) * 1e6), 0)
 
     # -- the bus ------------------------------------------------------------------------------------------------
 
     def _pace(self) -> None:
-        """Body of the thread: one `cycle` each period until the link is closed. Late ones are counted; an error
-        switches the drives off and ends the link."""
+        """Body of the thread: one `cycle` each period until the link is closed. A cycle that begins more than half a
+        period late is counted; an error switches the drives off and ends the link."""
         due = self._clock()
         while not self._stop.is_set():
             due += self.period_s
@@ -191,8 +192,9 @@ class HostedLink:
                 return
 
     def cycle(self) -> None:
-        """One control cycle: measures, runs the application up to then, and sends its set-points. TautError where the
-        drives are gone."""
+        """Makes one control cycle: measures, runs the application up to then, and sends its set-points. A cycle in
+        which an answer is missing is only counted. TautError where the drives are gone, or have not answered for
+        _LOST_S."""
         if self._gone is not None:
             raise self._gone
         began = self._clock()
@@ -230,9 +232,9 @@ class HostedLink:
         self._update_timing(began + waited, t_s + waited)
 
     def _send(self, goals: list[tuple[int, int, bool, bool]]) -> float:
-        """Sends the application's set-points to the drives and switches drives whose axis has been switched. goals: of
-        each axis (counts Q8, counts/s Q8, whether it is on, whether in closed loop). Returns the seconds that switching
-        a drive on took, during which the application stood still. Missed or TautError as the drives raise them."""
+        """Sends the application's set-points to the drives, and switches those whose axis was switched. goals: of each
+        axis (counts Q8, counts/s Q8, whether it is on, whether in closed loop). Returns the seconds for which the
+        application's time was held meanwhile (see `_switch`). Missed or TautError as the drives raise them."""
         waited = 0.0
         set_points = [
             Goal(goal / _Q8 / scale, speed / _Q8 / scale) if on else None
@@ -246,9 +248,9 @@ class HostedLink:
         return waited
 
     def _switch(self, axis: int, on: bool) -> float:
-        """Switches the drive of an axis. Returns for how many seconds the application's time was held meanwhile: the
-        whole time, where it is the first drive that is switched on and takes no longer than `enable_s`; else 0: then
-        the application treats this as a late control step."""
+        """Switches the drive of an axis on or off. If it is the first one to be switched on and takes no longer than
+        `enable_s`, the application's time is held meanwhile; returns for how many seconds. Else returns 0: the
+        application then sees one late control step."""
         began = self._clock()
         with self._lock:
             self.drives.enable(axis, on)
@@ -261,16 +263,16 @@ class HostedLink:
         return now - began if hold_time else 0.0
 
     def _estimate_delay(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
-        """Estimates how late each drive follows its set-points, s: least squares of how far it is behind, counts, over
-        the set-point's speed, counts/s, while an axis in closed loop moves. Once its set-point rests the application
-        gets the estimate and plans that much ahead. places: measured positions, counts Q8; goals: as in `_send`, the
-        speed in counts/s Q8."""
+        """Estimates the lag of each drive behind its set-points, s, while its axis moves in closed loop: the
+        least-squares ratio of how far it is behind, counts, to the set-point's speed, counts/s, in which older cycles
+        count less. Once the set-point rests the application gets the lag, and plans that much ahead. places: measured
+        positions, counts Q8; goals: as in `_send`."""
         for axis, (goal, speed, _, closed_loop) in enumerate(goals):
             sums = self._lag_sums[axis]
             counts_per_s = speed / _Q8
             slowest = _SLOW * self.drives.drives[axis].limits.speed * self._scales[axis]  # counts/s of the application
             if closed_loop and abs(counts_per_s) > slowest:
-                sums *= _FORGET
+                sums *= _FORGET  # sum of error times speed, sum of speed squared
                 sums += ((goal - places[axis]) / _Q8 * counts_per_s, counts_per_s**2)
             elif closed_loop and counts_per_s == 0.0 and sums[1] > 0.0:
                 lag_s = float(np.clip(sums[0] / sums[1], 0.0, _LAG_MOST_S))
@@ -279,28 +281,28 @@ class HostedLink:
                 self._board.lead(axis, round(lag_s * 1e6))
 
     def _update_timing(self, began: float, t_s: float) -> None:
-        """Adds a whole cycle to `timing`: its round trip and its step from the cycle before. began: when the cycle
-        began, t_s: when it measured, s of the clock; the caller adds to both what switching a drive on took, so that
-        this does not count."""
+        """Adds a cycle with whole answers to `timing`: its round trip, and its step from the cycle before if that was
+        whole, too. began: when the cycle began, t_s: when it measured, s of the clock; to both the caller adds what
+        switching a drive on took, so that this does not count."""
         timing, n = self.timing, max(self.timing.cycles - self.timing.missed, 1)
         took = self._clock() - began
         timing.round_trip_s += (took - timing.round_trip_s) / n
         timing.round_trip_most_s = max(timing.round_trip_most_s, took)
-        if self._steady:
+        if self._last_cycle_whole:
             self._steps_counted += 1
             self._squared_deviations += (t_s - self._last_s - self.period_s) ** 2
             timing.jitter_s = (self._squared_deviations / self._steps_counted) ** 0.5
-        self._last_s, self._steady = t_s, True
+        self._last_s, self._last_cycle_whole = t_s, True
 
     def _count_missed(self) -> None:
-        """Counts a cycle in which no answer came or no set-point was sent; the step to the next one is no measure of
-        jitter."""
+        """Counts a cycle in which no answer came or no set-point was sent. The step from it to the next one does not
+        count for the jitter."""
         self.timing.missed += 1
-        self._steady = False
+        self._last_cycle_whole = False
 
     def _connection_lost(self, error: TautError) -> None:
-        """Ends the link: raises BoardGone, here and for whoever reads or writes, with the error and how the motors come
-        to rest."""
+        """Ends the link: raises BoardGone, here and in each later `read`, `write` or `cycle`, with the error and how
+        the motors come to rest."""
         says = f"{self.where}: {error}. Its motors come to rest by themselves, within {self.drives.rest_s:.2g} s and "
         gone = BoardGone(says + f"what braking takes ({self.drives.watchdog})")
         with self._arrived:
@@ -309,7 +311,8 @@ class HostedLink:
         raise gone
 
     def _stop_and_report(self, error: TautError) -> None:
-        """Ends the link after an error: switches all drives off, and whoever reads or writes gets the error."""
+        """Ends the link after an error: switches all drives off; each later `read`, `write` or `cycle` raises the
+        error."""
         with contextlib.suppress(Exception):
             self.drives.stop()
         with self._arrived:
@@ -317,8 +320,8 @@ class HostedLink:
             self._arrived.notify_all()
 
     def _save_flash(self) -> None:
-        """Writes the application's flash to its file if it has changed, whole or not at all. TautError where it cannot
-        be written."""
+        """Writes the application's flash to its file if it has changed: whole or not at all, by renaming a new file.
+        TautError where it cannot be written."""
         if self._board.flash_writes == self._writes:
             return
         self._writes = self._board.flash_writes
@@ -350,8 +353,8 @@ class HostedLink:
                 self._arrived.notify_all()
 
     def read(self, timeout_s: float) -> bytes:
-        """The application's bytes for the host, b"" where there are none; waits for them at most this long, not at all
-        where cycles are not paced by a thread."""
+        """Returns the application's bytes for the host, b"" where there are none. Waits for them up to timeout_s; not
+        at all where no thread makes the cycles. Raises the link's error where it has ended and no bytes are left."""
         with self._arrived:
             if not self._out and self._thread is not None:
                 self._arrived.wait_for(lambda: self._out or self._gone is not None, timeout_s)
@@ -362,11 +365,11 @@ class HostedLink:
             return data
 
     def tables(self, axis: int) -> None:
-        """None: tables travel in messages."""
+        """Returns None: tables travel in messages."""
         return None
 
     def bus(self) -> dict[str, Any]:
-        """What is known of drives and bus, for JSON: rate, `Timing`, each drive in words, its own limits in the
+        """Returns what is known of drives and bus, for JSON: rate, `Timing`, each drive in words, its own limits in the
         application's counts (mA for the current), and what stops it when the host is lost."""
         drives = [
             f"{drive.number}: {drive.model}, firmware {drive.firmware}, "
@@ -399,8 +402,8 @@ class HostedLink:
 
 
 def _counts_scale(speed: float) -> float:
-    """How many of the application's counts one count of a drive is: 1, halved until the drive's top `speed`, counts/s,
-    is within the application's. Nothing is lost, as that resolves 1/256 count."""
+    """Returns how many of the application's counts one count of a drive is: 1, halved until the drive's top `speed`,
+    its counts/s, is within the application's limit. Nothing is lost, as the application resolves 1/256 count."""
     scale = 1.0
     while speed * scale > _native.HOSTED_SPEED_MAX:
         scale *= 0.5
@@ -408,5 +411,5 @@ def _counts_scale(speed: float) -> float:
 
 
 def _serial_number(text: str) -> str:
-    """The end of an address, `text`, as a board's serial number: at most 31 ASCII letters, digits and dashes."""
+    """Makes a board's serial number of the end of an address, `text`: at most 31 ASCII letters, digits and dashes."""
     return "".join(c if c.isascii() and c.isalnum() else "-" for c in text)[-31:].strip("-")

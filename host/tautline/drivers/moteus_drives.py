@@ -49,7 +49,7 @@ class Moteus:
         resolution.q_current, resolution.torque, resolution.temperature = moteus.F32, moteus.IGNORE, moteus.IGNORE
         resolution.home_state = moteus.INT8
         try:
-            self._transport = _transport(bus, baud)
+            self._transport = _open_transport(bus, baud)
         except (can.CanError, OSError, ValueError, NotImplementedError) as error:
             self._loop.close()
             raise TautError(f"moteus:{bus}: cannot be opened ({error}): check adapter and channel") from error
@@ -75,8 +75,8 @@ class Moteus:
         ]
 
     def _all_referenced(self) -> list[bool]:
-        """Whether each controller knows where its output is (its register HOME_STATE). TautError where one does not
-        answer within _TRIES."""
+        """Asks each controller whether it knows where its output is (its register HOME_STATE); returns the answers in
+        the order of the ids. TautError where one does not answer in _TRIES tries."""
         for left in reversed(range(_TRIES)):
             try:
                 answers = self._query_all(_FIRST_S)
@@ -104,8 +104,8 @@ class Moteus:
             raise TautError("the adapter is gone") from error
 
     def _query_all(self, within_s: float) -> list[dict[int, float]]:
-        """Queries every controller for the registers _ASKED: its values by register, in the order of the ids. Missed
-        where an answer or a register is missing."""
+        """Queries every controller for the registers _ASKED within within_s; returns its values by register, in the
+        order of the ids. Missed where an answer or a register is missing."""
         answers = self._exchange([controller.make_query() for controller in self._controllers], within_s)
         values = {answer.id: answer.values for answer in answers}
         if any(_ASKED - values.get(number, {}).keys() for number in self._numbers):
@@ -113,15 +113,16 @@ class Moteus:
         return [values[number] for number in self._numbers]
 
     def measure(self) -> list[Measured]:
-        """Where every controller is, by one query of all. Missed where an answer did not come."""
+        """Measures every controller by one query of all, in the order of the ids. Missed where an answer does not
+        come."""
         sent = self._clock()
         answers = self._query_all(_ANSWER_S)
         t_s = 0.5 * (sent + self._clock())
         return [self._measured(t_s, values) for values in answers]
 
     def _measured(self, t_s: float, values: dict[int, float]) -> Measured:
-        """A controller's answer to a query (turns, turns/s, A by register) as counts, counts/s and mA. t_s: the middle
-        of the round trip. Missed where the controller does not know its position."""
+        """Converts a controller's answer to a query (turns, turns/s, A by register) to counts, counts/s and mA. t_s:
+        the middle of the round trip, s. Missed where the controller does not know its position."""
         fault = f"fault {int(values[_Register.FAULT])}" if int(values[_Register.MODE]) == _FAULT_MODE else ""
         position, speed = values[_Register.POSITION], values[_Register.VELOCITY]
         if not math.isfinite(position):
@@ -166,8 +167,9 @@ class Moteus:
         self._loop.close()
 
 
-def _transport(bus: str, baud: int) -> Any:
-    """moteus' transport on python-can's INTERFACE/CHANNEL, or on a fdcanusb where the bus is a path."""
+def _open_transport(bus: str, baud: int) -> Any:
+    """Opens moteus' transport on python-can's INTERFACE/CHANNEL, or on a fdcanusb where the bus is the path of a
+    device. baud: bit/s, of python-can only."""
     interface, _, channel = bus.partition("/")
     if not interface:  # /dev/...
         return moteus.Fdcanusb(bus)

@@ -1,4 +1,4 @@
-"""A place on a ROS 2 graph: a context and a node of our own, whose callbacks a thread runs.
+"""A node of our own on a ROS 2 graph, in a context of its own, whose callbacks a thread runs.
 
 Unless the user's environment says otherwise only nodes of this machine are found, and find it: a motor's set-points are
 nobody else's. Any ROS 2 with rclpy will do, that of the package index or one whose set-up was sourced.
@@ -21,8 +21,8 @@ _RANGE, _HERE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 
 
 def library(module: str) -> Any:
-    """Imports a module of ROS 2, such as "rclpy.qos": here and not above, as ROS 2 is optional. TautError that says how
-    to get it."""
+    """Imports a module of ROS 2, such as "rclpy.qos", when it is needed, as ROS 2 is optional. TautError, which says
+    how to get it, where it is missing."""
     try:
         with warnings.catch_warnings():  # its messages' parser imports what Python deprecates
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -33,8 +33,9 @@ def library(module: str) -> Any:
 
 
 def sensor_qos(depth: int = 10) -> Any:
-    """The QoS profile of a subscription that takes messages of publishers of any reliability. depth: messages that its
-    queue holds; several publishers on one topic need room, or messages for others displace ours."""
+    """Returns the QoS profile of a subscription that takes messages of publishers of any reliability. depth: messages
+    that its queue holds; where several publish on one topic it needs room for all, or their messages displace each
+    other."""
     qos = library("rclpy.qos")
     return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
 
@@ -71,12 +72,12 @@ class Graph(Closable):
         return str(self.node.get_fully_qualified_name())
 
     def topic(self, name: str) -> str:
-        """The full name of a topic on the graph, after namespace and remapping."""
+        """Returns the full name of a topic on the graph, after namespace and remapping."""
         return str(self.node.resolve_topic_name(name))
 
     def age_s(self, stamp: Any) -> float:
-        """Seconds from a message's stamp (sec, nanosec) until now by the node's clock; meaningless, and perhaps
-        negative, where the sender's clock is another one."""
+        """Returns the seconds from a message's stamp (sec, nanosec) until now by the node's clock; meaningless, and
+        perhaps negative, where the sender has another clock."""
         return float(1e-9 * self.node.get_clock().now().nanoseconds - (stamp.sec + 1e-9 * stamp.nanosec))
 
     def begin(self) -> None:

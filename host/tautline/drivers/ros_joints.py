@@ -37,8 +37,8 @@ class RosJoints:
     def __init__(
         self, bus: str, names: Sequence[int | str], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
-        """bus: topics STATES,COMMANDS; names: of the joints; baud, rate_hz: as every driver takes them, unused.
-        TautError where a topic or joint is not there."""
+        """Makes a node of its own and finds the joints on the graph (`drives`). bus: topics STATES,COMMANDS; names: of
+        the joints; baud, rate_hz: as every driver takes them, unused. TautError where a topic or joint is not there."""
         states, _, commands = bus.partition(",")
         if not states or not commands:
             raise TautError(f"ros:{bus}: name two topics, as in ros:/joint_states,/commands:elbow")
@@ -60,8 +60,8 @@ class RosJoints:
             raise
 
     def _open(self, states: str, commands: str) -> None:
-        """Subscribes to the topic `states`, publishes on `commands`, waits until both have a partner, and finds what
-        the joints are (`drives`). TautError that says which is missing."""
+        """Subscribes to the topic `states`, publishes on `commands`, waits until both have a partner, and sets `drives`
+        to what the joints are. TautError that says what is missing."""
         description = self._subscribe(states)
         advice = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
         self._find_joints(states, advice)
@@ -73,7 +73,7 @@ class RosJoints:
             raise TautError(f"ros: {states} has no position of {', '.join(self._names)}: is the hardware active?")
         self._off_positions = list(self._positions)
         described = self._read_description(description)
-        self.drives = [_drive(name, described.get(name, {})) for name in self._names]
+        self.drives = [_drive_of_joint(name, described.get(name, {})) for name in self._names]
         self._counts = [float(drive.counts_per_turn) / (1.0 if drive.per == "m" else math.tau) for drive in self.drives]
 
     def _subscribe(self, states: str) -> str:
@@ -102,9 +102,9 @@ class RosJoints:
             raise TautError(f"ros: no joint states came on {states}: {advice}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
-        """Type and limits by joint (see `_joints_of_description`) from the robot's description on `topic`, waiting
-        _DESCRIBED_S as its publisher may be found later than the states'; {} where nobody publishes one. TautError
-        where it does not come, or lacks a joint."""
+        """Returns type and limits by joint (see `_joints_of_description`) from the robot's description on `topic`; {}
+        where nobody publishes one. Waits for it up to _DESCRIBED_S, as its publisher may be found later than the
+        states'. TautError where it is published but does not come, or lacks a joint."""
         if not self._wait_for(lambda: bool(self._description), _DESCRIBED_S):
             if self._graph.node.count_publishers(topic):
                 raise TautError(f"ros: {topic} is published but did not come: run the command again")
@@ -116,38 +116,42 @@ class RosJoints:
         return described
 
     def _command_type(self, commands: str, advice: str) -> str:
-        """The message type, _ARRAY or _STATE, that subscribers of the topic `commands` take; _ARRAY where they take
-        both. TautError where nobody subscribes within _FIRST_S (`advice` is appended), or to neither."""
+        """Returns the message type, _ARRAY or _STATE, that subscribers of the topic `commands` take; _ARRAY where they
+        take both. TautError where nobody subscribes within _FIRST_S (`advice` is appended), or subscribers take
+        neither."""
         node = self._graph.node
         topic = self._graph.topic(commands)
 
-        def kinds() -> set[str]:
+        def subscriber_types() -> set[str]:
             """Message types of the topic's subscribers."""
             return {info.topic_type for info in node.get_subscriptions_info_by_topic(topic)}
 
-        if not self._wait_for(lambda: bool(kinds()), _FIRST_S):
+        if not self._wait_for(lambda: bool(subscriber_types()), _FIRST_S):
             raise TautError(f"ros: nobody takes set-points on {commands}: {advice}")
-        found = kinds() & {_ARRAY, _STATE}
+        found = subscriber_types() & {_ARRAY, _STATE}
         if not found:
-            raise TautError(f"ros: {commands} takes {', '.join(sorted(kinds()))}: name one of {_ARRAY} or {_STATE}")
+            raise TautError(
+                f"ros: {commands} takes {', '.join(sorted(subscriber_types()))}: name one of {_ARRAY} or {_STATE}"
+            )
         return min(found, key=(_ARRAY, _STATE).index)
 
     def _message_type(self) -> Any:
-        """The Python class of the set-points' message type, "PACKAGE/msg/NAME"."""
+        """Imports the Python class of the set-points' message type, which is named "PACKAGE/msg/NAME"."""
         package, _, name = self._kind.split("/")
         return getattr(library(f"{package}.msg"), name)
 
     @staticmethod
-    def _wait_for(there: Callable[[], bool], within_s: float) -> bool:
-        """Polls `there` until it is true or the time is over; returns whether it is true."""
+    def _wait_for(condition: Callable[[], bool], within_s: float) -> bool:
+        """Polls `condition` until it is true or within_s are over; returns whether it is true."""
         end = time.monotonic() + within_s
-        while not there() and time.monotonic() < end:
+        while not condition() and time.monotonic() < end:
             time.sleep(0.005)
-        return there()
+        return condition()
 
     def _on_state(self, message: Any) -> None:
-        """Callback: keeps a joint state with its time. That is its stamp's if the stamp seems to be of this machine's
-        clock (0 to _OLDEST_S old), else now. Of messages without all our joints only the names are kept, for errors."""
+        """Callback: keeps a joint state with the time of its measurement: its stamp's if that seems to be of this
+        machine's clock (0 to _OLDEST_S old), else now. Of a message that lacks one of our joints only the names are
+        kept, for errors."""
         if not set(self._names) <= set(message.name[: len(message.position)]):
             self._other_joints |= set(message.name)
             return
@@ -161,8 +165,8 @@ class RosJoints:
         self._description = message.data
 
     def measure(self) -> list[Measured]:
-        """Every joint's newest state, in the order of the names; waits up to _ANSWER_S for one that was not returned
-        before. Missed where none comes."""
+        """Returns every joint's newest state, in the order of the names; waits up to _ANSWER_S for one that was not
+        returned before. Missed where none comes."""
         with self._state_arrived:
             if not self._state_arrived.wait_for(
                 lambda: self._newest is not None and self._newest[1] is not self._used, _ANSWER_S
@@ -173,9 +177,9 @@ class RosJoints:
         return [self._measured(axis, t_s, self._used) for axis in range(len(self._names))]
 
     def _measured(self, axis: int, t_s: float, message: Any) -> Measured:
-        """One joint of a joint state in counts and counts/s; in rad or m while its description has not been read.
-        Speed is 0 where the message has none; a joint whose position is not finite keeps the last one and has a
-        fault."""
+        """Converts one joint of a joint state to counts and counts/s; leaves it in rad or m as long as the description
+        has not been read. Speed is 0 where the message has none. A joint whose position is not finite keeps the last
+        one and has a fault."""
         at = list(message.name).index(self._names[axis])
         position = float(message.position[at])
         fault = "" if math.isfinite(position) else "its position is not known: is the hardware active?"
@@ -189,17 +193,17 @@ class RosJoints:
         return Measured(t_s, q=q, velocity=speed * counts_per_unit, current_ma=0.0, fault=fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
-        """Publishes where each joint is to be; None leaves one's set-point as it is."""
+        """Publishes where each joint is to be; for None a joint's set-point stays as it is."""
         for axis, goal in enumerate(goals):
             if goal is not None:
                 self._set_points[axis] = goal.q / self._counts[axis]
         self._publish()
 
     def _publish(self) -> None:
-        """Publishes the set-points of all joints that are on, rad or m, in one message. An array has to have all
-        joints: those that are off are told the position where they were switched off."""
+        """Publishes the set-points, rad or m, of all joints that are on, in one message. An array must have all joints:
+        those that are off get the position at which they were switched off."""
         message = self._message_type()()
-        if self._kind == _ARRAY:  # those that are off stay where they were: the newest place gives way under a load
+        if self._kind == _ARRAY:  # not the newest position of those that are off: it would give way under a load
             message.data = [
                 rest if told is None else told for told, rest in zip(self._set_points, self._off_positions, strict=True)
             ]
@@ -210,8 +214,8 @@ class RosJoints:
         self._commands.publish(message)
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches the axis on or off. As a topic cannot switch torque, both tell the joint to stay where it is; off,
-        it gets no further set-points of its own."""
+        """Switches the axis on or off. As a topic cannot switch torque, both tell the joint to stay where it is;
+        switched off, it gets no further set-points of its own. Does nothing for a joint that is off already."""
         if not on and self._set_points[axis] is None:
             return
         self._set_points[axis] = self._off_positions[axis] = self._positions[axis]
@@ -229,8 +233,8 @@ class RosJoints:
 
 
 def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
-    """Of each joint in a URDF's text: "type" and the attributes of its <limit> (lower, upper, velocity, effort), as
-    they stand there. {} where the text is empty. TautError where it is no XML."""
+    """Reads for each joint in a URDF's text its "type" and the attributes of its <limit> (lower, upper, velocity,
+    effort), as they stand there. {} where the text is empty. TautError where it is no XML."""
     try:
         joints = ElementTree.fromstring(text).iterfind("joint") if text else ()
         return {
@@ -242,16 +246,17 @@ def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
         raise TautError(f"ros: {_DESCRIPTION} holds no URDF ({error}): mend it, or stop who publishes it") from error
 
 
-def _drive(name: str, described: dict[str, str]) -> Drive:
-    """The drive of a joint, in counts, by its type and limits in the URDF, rad or m, and s (`described`, as of
-    `_joints_of_description`). Without any, {}, it is a joint that turns without an end; without a speed limit it has
-    1 turn/s or 0.1 m/s."""
+def _drive_of_joint(name: str, described: dict[str, str]) -> Drive:
+    """Makes the drive of a joint, in counts, from its type and its limits in rad or m, and s (`described`, as of
+    `_joints_of_description`). Where that is {} the joint turns without an end; without a speed limit it has 1 turn/s or
+    0.1 m/s."""
     slides = described.get("type") == "prismatic"
     per, counts = ("m", _METRE) if slides else ("turn", _TURN)
     counts_per_unit = counts if slides else counts / math.tau
 
     def limit(key: str) -> float:
-        """In counts or counts/s; 0 where the description has none. TautError where it is not a finite number."""
+        """Returns a limit in counts or counts/s; 0 where the description has none. TautError where it is no finite
+        number."""
         try:
             value = float(described.get(key, 0.0))
         except ValueError:

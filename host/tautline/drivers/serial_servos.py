@@ -18,8 +18,8 @@ from tautline.errors import TautError
 Register = tuple[int, int]  # address, size
 
 _ANSWER_MS = 15.0  # limit: a USB adapter's latency timer may be 16 ms: lower it to 1 (docs/drivers.md)
-_WAIT_S = 2e-3  # tolerance: of one look for bytes, of which an answer takes some
-_SETUP_TRIES = 5  # tolerance: of a register, before its servo is not there
+_WAIT_S = 2e-3  # tolerance: of one wait for bytes; an answer may take several
+_SETUP_TRIES = 5  # tolerance: tries of one register before its servo counts as absent
 
 
 class SerialServos:
@@ -28,7 +28,7 @@ class SerialServos:
     kind: str  # of the address, for messages
     watchdog: str
     rest_s: float
-    enable_s = 8 * _SETUP_TRIES * _ANSWER_MS * 1e-3  # so many registers
+    enable_s = 8 * _SETUP_TRIES * _ANSWER_MS * 1e-3  # for up to 8 registers
     refusal: int  # bits of an answer's error byte that refuse what was asked
     state: Register  # all that a sync read asks for
     goal: Register
@@ -46,7 +46,7 @@ class SerialServos:
         PacketHandler; bus: the serial device; numbers: the servos' IDs; baud: bit/s. TautError where the port cannot be
         opened or a servo does not answer."""
         self.numbers, self._clock, self._sdk = list(numbers), clock, sdk
-        self._port, self._packets = _port(sdk, bus), sdk.PacketHandler(protocol)
+        self._port, self._packets = _make_port(sdk, bus), sdk.PacketHandler(protocol)
         try:
             if not self._port.setBaudRate(baud):
                 raise TautError(f"{self.kind}:{bus}: no such baud rate, {baud}")
@@ -67,20 +67,20 @@ class SerialServos:
     # -- what differs ---------------------------------------------------------------------------------------------
 
     def describe(self, number: int) -> Drive:
-        """Reads a servo's limits and resolution from its registers."""
+        """Reads a servo's limits, model and firmware from its registers."""
         raise NotImplementedError
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
-        """A servo's answer to the sync read, the bytes of the register `state`, as counts, counts/s and mA. t_s: the
-        middle of the round trip."""
+        """Converts a servo's answer to the sync read, the bytes of the register `state`, to counts, counts/s and mA.
+        t_s: the middle of the round trip, s."""
         raise NotImplementedError
 
     def encoded(self, goal: int) -> bytes:
-        """A position, counts, as the bytes of the register `goal`."""
+        """Encodes a position, counts, as the bytes of the register `goal`."""
         raise NotImplementedError
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches a servo's torque; on, it holds where it is."""
+        """Switches a servo's torque on, so that it holds where it is, or off."""
         raise NotImplementedError
 
     # -- registers, while nothing moves ---------------------------------------------------------------------------
@@ -88,7 +88,7 @@ class SerialServos:
     def read(self, number: int, register: Register) -> int:
         """Reads a register as an unsigned number, with retries. TautError where the servo refuses or is silent."""
         answer = self._retry(number, lambda: self._packets.readTxRx(self._port, number, *register))
-        value = self._number(register, answer)
+        value = self._register_number(register, answer)
         if value is None:
             why = self._packets.getRxPacketError(answer[-1] & self.refusal) or "its answer is too short"
             raise TautError(f"{self.kind} {number}: register {register[0]} cannot be read: {why}")
@@ -98,15 +98,15 @@ class SerialServos:
         """Reads a register as `read` does, but with one try only, as it happens between two control cycles; None where
         no whole answer came."""
         try:
-            return self._number(
+            return self._register_number(
                 register, self._sdk_answer(lambda: self._packets.readTxRx(self._port, number, *register))
             )
         except Missed:
             return None
 
-    def _number(self, register: Register, answer: tuple[list[int], int, int]) -> int | None:
-        """The register's unsigned number in the SDK's answer (data, result, error); None where the answer failed, has
-        another length, or refuses: then the SDK hands out a checksum as data."""
+    def _register_number(self, register: Register, answer: tuple[list[int], int, int]) -> int | None:
+        """Returns the register's unsigned number in the SDK's answer (data, result, error). None where the exchange
+        failed, the data have another length, or the servo refused: the SDK then hands out a checksum as data."""
         data, result, error = answer
         whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1] and not error & self.refusal
         return int.from_bytes(bytes(data), "little") if whole else None
@@ -123,7 +123,7 @@ class SerialServos:
 
     def _retry(self, number: int, ask: Callable[[], Any]) -> Any:
         """Calls `ask`, one exchange with the servo `number`, until the SDK's answer (..., communication result, error)
-        says success; at most _SETUP_TRIES times, then TautError."""
+        says success, and returns that answer; TautError after _SETUP_TRIES times."""
         why = ""
         for _ in range(_SETUP_TRIES):
             try:
@@ -163,7 +163,7 @@ class SerialServos:
         return [self.measured(axis, t_s, state) for axis, state in enumerate(states)]
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
-        """Sends the servos their goals in one sync write; None sends one nothing."""
+        """Sends the servos their goals in one sync write; for None it sends nothing."""
         self._writing.clearParam()
         for number, goal in zip(self.numbers, goals, strict=True):
             if goal is not None:
@@ -179,9 +179,9 @@ class SerialServos:
         self._port.closePort()
 
 
-def _port(sdk: ModuleType, bus: str) -> Any:
-    """The SDK's port on the serial device `bus`, not opened yet, whose reads wait for bytes instead of polling, whose
-    packets have _ANSWER_MS to come, and which locks the line for itself."""
+def _make_port(sdk: ModuleType, bus: str) -> Any:
+    """Makes the SDK's port on the serial device `bus`, not opened yet. Its reads wait for bytes instead of polling, its
+    packets have _ANSWER_MS to come, and it locks the line for itself."""
 
     class Port(sdk.PortHandler):  # type: ignore[misc, name-defined]
         def setupPort(self, baud: int) -> bool:

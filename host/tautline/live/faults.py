@@ -1,5 +1,5 @@
-"""What can go wrong with a simulated board, and what is then said: each fault in the middle of a move, or before the
-check of motor and encoder where that is what finds it."""
+"""Faults that a simulated board can be given, and what is then said. Each is caused in the middle of a move, or before
+the check of motor and encoder where that check is what finds it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tautline.live.session import driving
 from tautline.live.setup import Live
 from tautline.simulated.simlink import SimLink
 
-_RUN_S = 0.3  # into a move
-_SHARE = 0.4  # of the range: its way
+_RUN_S = 0.3  # from the beginning of a move until the fault is caused
+_SHARE = 0.4  # of the range: where that move goes to
 _PATIENCE_S = 3.0  # within which every fault is noticed
-_SLICE_S = 0.5  # of time without a word
-_RESTS = 1.0  # counts within which a motor rests
+_SLICE_S = 0.5  # steps of virtual time in which a silent host lets the board run
+_RESTS = 1.0  # counts: a motor that is so near to its last position rests
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class Noticed:
     """How a board noticed a fault."""
 
     says: str  # the line of the error
-    fault: str | None  # its name in tl_wire.h's TL_WIRE_FAULTS, None where the board cannot be asked
+    fault: str | None  # the name of the fault in tl_wire.h's TL_WIRE_FAULTS, None where the board cannot be asked
     noticed_s: float | None  # from the fault to the motor off
     rest_s: float  # from the fault to the motor's rest
-    way: float  # of the motor in it, the rig's unit
+    way: float  # how far the motor moved after the fault, the rig's unit
 
 
 def inject(link: SimLink, axis: int, name: str) -> None:
@@ -66,8 +66,9 @@ def inject(link: SimLink, axis: int, name: str) -> None:
 
 
 def show(live: Live, name: str) -> Noticed:
-    """Causes a fault, a key of FAULTS, on a simulated board whose axis is referenced, and returns how and when the
-    board noticed it. TautError where it did not."""
+    """Causes a fault, a key of FAULTS, on a simulated board whose axis is referenced: before a check of motor and
+    encoder, or _RUN_S into a move. Returns how and when the board noticed it, from the error that this raises.
+    TautError where the board notices nothing within _PATIENCE_S, or another error came."""
     assert live.plant is not None
     injected_s = live.plant.now_s
     try:
@@ -76,7 +77,7 @@ def show(live: Live, name: str) -> Noticed:
             live.board.ask("check", axis=live.axis)
             _wait_for_fault(live)
         with driving(live):
-            q = _SHARE * live.rig.actuator.span / live.resolution
+            q = _SHARE * live.rig.actuator.span / live.resolution  # counts
             live.board.ask("move", axis=live.axis, q=q, speed_s=0.25 * q)
             live.wait(_RUN_S)
             injected_s = live.plant.now_s
@@ -95,15 +96,17 @@ def show(live: Live, name: str) -> Noticed:
 
 
 def _wait_for_fault(live: Live) -> None:
-    """Waits _PATIENCE_S; TautError as soon as the axis has a fault, or the board is gone."""
+    """Waits _PATIENCE_S, and returns if nothing happens. TautError as soon as the axis has a fault, or the board is
+    gone."""
     for _ in range(round(_PATIENCE_S / 0.02)):
         live.wait(0.02)
         live.board.check_fault(live.axis)
 
 
 def _what_was_noticed(live: Live, says: str, injected_s: float) -> Noticed:
-    """Lets half a second pass, and collects which fault the board has noticed, after how long, and how long and far the
-    motor still moved. says: the error's text; injected_s: when the fault was caused, board time."""
+    """Lets half a second pass and returns which fault the board has noticed, after how long (both None where the board
+    does not answer), and for how long and how far the motor still moved. says: the error's text; injected_s: when the
+    fault was caused, board time."""
     plant = live.plant
     assert plant is not None
     plant.advance_to(plant.now_s + 0.5)
@@ -114,7 +117,7 @@ def _what_was_noticed(live: Live, says: str, injected_s: float) -> Noticed:
         noticed_s = status.fault_us * 1e-6 - injected_s
     except TautError:
         pass  # the board is gone
-    t, q, _, _ = plant.truth()
+    t, q, _, _ = plant.truth()  # times, s, and the motor's true position, the rig's unit
     since = t >= injected_s
     t, q = t[since], q[since]
     moving = np.flatnonzero(np.abs(q - q[-1]) > _RESTS * live.resolution)

@@ -1,4 +1,5 @@
-"""Trajectories on a board, open loop: of the tip through its tables, or of the motor alone. Recorded and scored."""
+"""Drives trajectories on a board in open loop, of the tip through the tables on the board or of the motor alone;
+records and scores them."""
 
 from __future__ import annotations
 
@@ -31,12 +32,15 @@ Progress = Callable[[float, str], None] | None
 SHAPES = ("trapezoids", "smooth")
 SET_POINT_HZ = 250.0
 _AHEAD_S = 0.1  # set-points are sent so long before they hold
-_SILENCE_S = 0.5
-_STEP_S = 0.06
-_SETTLE_S = 0.25
+_SILENCE_S = 0.5  # after so long without a set-point the board brings the axis to rest
+_STEP_S = 0.06  # one wait of a loop without a camera
+_SETTLE_S = 0.25  # rest before a trajectory begins and after its end
 _LEAD_SHARE = 0.15  # of the range per second: the move to where a trajectory begins
 _MARGIN = 0.06  # of the range of c, left free at either end by the built-in shapes
-_COUNTS_AS_BEYOND, _LOOKS = 0.05, 4001  # deg: less is the table's own rounding; places along a trajectory to look at
+_COUNTS_AS_BEYOND, _LOOKS = (
+    0.05,
+    4001,
+)  # deg: less is the table's own rounding; times along a trajectory that are looked at
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class Followed:
     t_s: Array  # (n,) board time
     c_ref_deg: Array  # (n,) c*, as planned
     c_deg: Array  # (n,) c, as it was; NaN where it is not known
-    counted: Array  # (n,) bool: after the first full take-up in both directions
+    counted: Array  # (n,) bool: in a simulation, once the backlash was crossed in both directions; else all
     scored_by: str = ""
     counters: dict[str, Any] = field(default_factory=dict)  # the board's, of this run, by name
     clipped: float = 0.0  # share of the trajectory's time that is beyond `reach_deg`: the tip is held at its end there
@@ -56,7 +60,7 @@ class Followed:
 
     @property
     def error_deg(self) -> Array:
-        """c less c*, deg, of the samples that are counted and where c is known: (m,), empty where it never is."""
+        """c less c*, deg, at the samples that are counted and where c is known: (m,), empty where there are none."""
         error: Array = (self.c_deg - self.c_ref_deg)[self.counted & np.isfinite(self.c_deg)]
         return error
 
@@ -72,9 +76,9 @@ class Followed:
 
 
 def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds: float = 60.0) -> tuple[Array, Array]:
-    """A trajectory for the tip: times, s, and angles c*, deg, both (n,). what: a CSV with t_s,c_deg, or one of SHAPES
-    over the instrument's range. speed_deg_s: a shape's top speed, limited to 0.3 of the motor's; seconds, seed: of the
-    smooth shape."""
+    """Returns a trajectory for the tip: times, s, and angles c*, deg, both (n,). what: a CSV file with t_s,c_deg, or
+    one of SHAPES over the instrument's range. speed_deg_s: a shape's top speed, limited to what 0.3 of the motor's top
+    speed gives; seconds, seed: of the smooth shape. TautError where `what` is neither a shape nor such a file."""
     if what not in SHAPES:
         if not Path(what).is_file():
             raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
@@ -87,8 +91,8 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
 
 
 def _shape(what: str, actuator: Actuator, speed: float, seconds: float, seed: int) -> tuple[Array, Array]:
-    """One of SHAPES over the actuator's range: times, s, and positions, both (n,). speed: unit/s; seconds, seed: of the
-    smooth shape."""
+    """Returns one of SHAPES over the actuator's range: times, s, and positions, both (n,). speed: top speed, unit/s;
+    seconds, seed: of the smooth shape."""
     if what == "smooth":
         planned = trajectory.random_smooth(actuator, speed, seconds, seed)
     else:
@@ -98,8 +102,8 @@ def _shape(what: str, actuator: Actuator, speed: float, seconds: float, seed: in
 
 
 def _reachable_deg(live: Live) -> tuple[float, float]:
-    """The lowest and the highest angle that the tip can take, deg: by the tables on the board, or without any by
-    f_coarse."""
+    """Returns the lowest and the highest angle that the tip can take, deg: by the tables on the board, or by f_coarse
+    where there are none or they are empty."""
     blob = live.board.read_table(live.axis)
     if blob:
         table = tables.decode(blob)
@@ -120,11 +124,11 @@ def follow(
     seen: Callable[[Frame], None] | None = None,
     progress: Progress = None,
 ) -> tuple[float, Array, Array]:
-    """Drives an axis along a trajectory by set-points: first a straight move to where it begins, in the end at rest,
-    motor off. t_s, value: (n,); tip: values are the tip's angle, deg, through the tables on the board; else the motor's
-    position, the rig's unit. compensation: one of MODES; strength: of it, 0 to 1; seen: gets the frames meanwhile.
-    Returns the board time, s, at which the trajectory itself begins, and times (board, s) and values of all set-points.
-    TautError for a fault, or where set-points are refused."""
+    """Drives an axis along a trajectory by set-points: first a straight move to where it begins, at the end rest, motor
+    off. t_s, value: (n,), the trajectory; tip: whether values are angles of the tip, deg, that go through the tables on
+    the board, or motor positions, the rig's unit. compensation: one of MODES; strength: its share that is applied, 0 to
+    1; seen: gets the frames meanwhile. Returns the board time, s, at which the trajectory itself begins, and times
+    (board, s) and values of all set-points, both (m,). TautError for a fault, or where set-points are refused."""
     board, axis = live.board, live.axis
     scale = wire.DEG if tip else wire.COUNT / live.resolution
     wire.set_point_values(value, scale)  # raises, before anything moves, where a value does not fit into the message
@@ -136,12 +140,13 @@ def follow(
         mode = MODES[compensation]
         board.ask("follow", axis=axis, target=int(tip), compensation=mode, silence_us=silence_us)
         status = board.status(axis)
-        here = status.c_ref if tip else status.q_ref * live.resolution
+        current = status.c_ref if tip else status.q_ref * live.resolution
         span = np.ptp(coarse_range_deg(live.rig)) if tip else live.rig.actuator.span
-        lead_s = max(abs(value[0] - here) / (_LEAD_SHARE * span), 0.2)  # of the move to where it begins
+        lead_s = max(abs(value[0] - current) / (_LEAD_SHARE * span), 0.2)  # of the move to where it begins
+        # The plan: the lead from the current value, a rest, the trajectory; its set-points are on an even grid.
         plan_t = np.concatenate([[0.0, lead_s], lead_s + _SETTLE_S + (t_s - t_s[0])])
         grid_s = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
-        plan = np.interp(grid_s, plan_t, np.concatenate([[here, value[0]], value]))
+        plan = np.interp(grid_s, plan_t, np.concatenate([[current, value[0]], value]))
         start_us = _send_ahead(live, grid_s, wire.set_point_values(plan, scale), seen, progress)
         while live.now_us() < start_us + grid_s[-1] * 1e6:
             step(live, seen)
@@ -152,9 +157,9 @@ def follow(
 def _send_ahead(
     live: Live, grid_s: Array, values: Array, seen: Callable[[Frame], None] | None, progress: Progress
 ) -> int:
-    """Sends set-points, the message's values (n,) for times grid_s (n,) from now on, each _AHEAD_S before it holds.
-    Those that are too late, after this process was held up, are left out. Returns the board time, us, at which the grid
-    begins. TautError where the board refuses one."""
+    """Sends the set-points `values` (n,), as the message has them, for the times grid_s (n,), s from the first one,
+    each _AHEAD_S before its time. Those whose time has passed, as after this process was held up, are left out. Returns
+    the board time, us, at which the grid begins. TautError where the board refuses one."""
     board = live.board
     # An emulated board may have run ahead of the time that was granted, by what loading a table took.
     start_us = max(live.now_us(), board.sync()) + round(_AHEAD_S * 1e6)
@@ -174,7 +179,8 @@ def _send_ahead(
 
 
 def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
-    """One turn of a loop that waits: for the next frame, which goes to `seen`; without a camera or `seen`, _STEP_S."""
+    """Makes one turn of a loop that waits: for the next frame, which goes to `seen`; without a camera or `seen`, for
+    _STEP_S."""
     if live.marker_source is not None and seen is not None:
         seen(live.look())
     else:
@@ -182,7 +188,8 @@ def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
 
 
 def _check_refusals(live: Live) -> None:
-    """TautError, with the reason, where the board has refused a set-point since the last look."""
+    """TautError where the board has refused a set-point since `follow` began: the axis' fault if it has one, else the
+    reason of the first refusal."""
     if live.board.refused:
         live.board.check_fault(live.axis)
         refused = live.board.refused[0]
@@ -208,11 +215,12 @@ def follow_run(
     library: Library | None = None,
     progress: Progress = None,
 ) -> Followed:
-    """One run of `taut follow`: loads the model's tables if one is given, follows a trajectory of the tip, records it
-    in `folder` if one is given, and compares what the tip did with the plan. what, speed_deg_s, seed: as in
-    `tip_trajectory`; compensation: off (the motor follows f_coarse's inverse), backlash (f_coarse and B) or full
-    (f_remain and B); strength: of it, 0 to 1. track: the camera keeps the model calibrated meanwhile and moves the
-    board's tables; then shapes of `library` are recognised. TautError where there are no tables to follow through."""
+    """Makes one run of `taut follow`: loads the model's tables if one is given, follows a trajectory of the tip,
+    records it in `folder` if one is given, and returns what the tip did, compared with the plan. what, speed_deg_s,
+    seed: as in `tip_trajectory`; compensation: off (the motor follows f_coarse's inverse), backlash (f_coarse and B) or
+    full (f_remain and B); strength: its share that is applied, 0 to 1. track: the camera keeps the model calibrated
+    meanwhile and moves the board's tables; shapes of `library` are then recognised. TautError where `track` has no
+    model, or compensation is not off and the axis has no tables."""
     if track and model is None:
         raise TautError("nothing to track: name the MODEL whose tables are in the board")
     board, axis, coarse = live.board, live.axis, live.rig.coarse
@@ -233,9 +241,9 @@ def follow_run(
         board.counters(clear=True)
         recorder = None if folder is None else stack.enter_context(Recorder(live, folder))
 
-        def seen(frame: Frame) -> None:
-            """Keeps, records and tracks a frame."""
-            frames.append(replace(frame, picture=None))  # pictures of a whole run would fill the memory
+        def on_frame(frame: Frame) -> None:
+            """Keeps a frame, without its picture, records it and tracks it."""
+            frames.append(replace(frame, picture=None))  # the pictures of a run would fill the memory
             if recorder is not None:
                 recorder.add(frame)
             if following is not None:
@@ -244,11 +252,11 @@ def follow_run(
         begin_s, sent_s, sent = follow(
             live,
             t_s,
-            c_deg if has_tables else (c_deg - coarse.offset) / coarse.gain,
+            c_deg if has_tables else (c_deg - coarse.offset) / coarse.gain,  # else f_coarse's inverse: motor positions
             tip=has_tables,
             compensation=compensation,
             strength=strength,
-            seen=seen if recorder is not None or following is not None or live.plant is None else None,
+            seen=on_frame if recorder is not None or following is not None or live.plant is None else None,
             progress=progress,
         )
     plan = sent if has_tables else coarse.gain * sent + coarse.offset
@@ -265,37 +273,40 @@ def follow_run(
 
 
 def _share_beyond(t_s: Array, c_deg: Array, reach_deg: tuple[float, float]) -> float:
-    """The share, 0 to 1, of a trajectory's time in which the angle is beyond what the tip can take. t_s, c_deg: the
-    trajectory, (n,); reach_deg: the lowest and the highest angle."""
+    """Returns the share, 0 to 1, of a trajectory's time in which the wanted angle is beyond what the tip can take. t_s,
+    c_deg: the trajectory, (n,); reach_deg: the lowest and the highest angle."""
     low, high = reach_deg
     wanted_deg = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
     return float(np.mean((wanted_deg < low - _COUNTS_AS_BEYOND) | (wanted_deg > high + _COUNTS_AS_BEYOND)))
 
 
 def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
-    """What the tip did beside what was planned: by the simulated instrument's true angle, or the camera's, or with NaN
-    where there is neither. begin_s: when the trajectory itself begins; t_s, plan: set-points, board time in s and deg,
-    (n,); frames: with their markers."""
+    """Returns the run compared with its plan. The tip's angle is the simulated instrument's true one, counted once the
+    backlash was crossed both ways; else the one that the camera saw, all of it counted; NaN where there is neither.
+    begin_s: when the trajectory itself begins; t_s, plan: times of the set-points, board time in s, and c*, deg, (n,);
+    frames: those of the run, with their markers."""
     if live.plant is not None:
-        when, q, p, c = live.plant.truth()
-        half = 0.5 * live.plant.instrument.backlash(p)
-        keep = (when >= begin_s) & (when <= t_s[-1])
-        counted = taken_up(q[keep], p[keep], half[keep])
-        return Followed(when[keep], np.interp(when[keep], t_s, plan), c[keep], counted, "the simulated instrument")
-    good = [frame for frame in frames if frame.sighting.valid]
-    when = np.array([frame.t_us for frame in good]) * 1e-6 - live.rig.delay_s
-    inside = (when >= begin_s) & (when <= t_s[-1])
+        times_s, q, p, c = live.plant.truth()
+        half_width = 0.5 * live.plant.instrument.backlash(p)
+        keep = (times_s >= begin_s) & (times_s <= t_s[-1])
+        counted = backlash_crossed(q[keep], p[keep], half_width[keep])
+        return Followed(
+            times_s[keep], np.interp(times_s[keep], t_s, plan), c[keep], counted, "the simulated instrument"
+        )
+    with_marker = [frame for frame in frames if frame.sighting.valid]
+    times_s = np.array([frame.t_us for frame in with_marker]) * 1e-6 - live.rig.delay_s
+    inside = (times_s >= begin_s) & (times_s <= t_s[-1])
     if inside.any():
-        c, _ = pose(live.rig, [(frame.sighting.u_px, frame.sighting.v_px) for frame in good])
-        ref = np.interp(when, t_s, plan)
-        return Followed(when[inside], ref[inside], c[inside], np.ones(int(inside.sum()), dtype=bool), "the camera")
+        c, _ = pose(live.rig, [(frame.sighting.u_px, frame.sighting.v_px) for frame in with_marker])
+        ref = np.interp(times_s, t_s, plan)
+        return Followed(times_s[inside], ref[inside], c[inside], np.ones(int(inside.sum()), dtype=bool), "the camera")
     return Followed(t_s, plan, np.full(len(t_s), np.nan), np.ones(len(t_s), dtype=bool))
 
 
-def taken_up(q: Array, p: Array, half: Array) -> Array:
-    """(n,) Whether by each sample the backlash has been driven through in both directions: before that, where in it the
-    tip began is not known, and errors are not counted. q, p: motor and centre coordinate, half: B/2, (n,) each, unit of
-    q."""
+def backlash_crossed(q: Array, p: Array, half: Array) -> Array:
+    """Returns for each sample (n,) whether the motor has by then driven through the backlash in both directions, that
+    is, q - p has been +B/2 and -B/2. Before that the tip's place within the backlash is not known, and errors are not
+    counted. q, p: motor and centre coordinate, half: B/2, (n,) each, unit of q."""
     up, down = q - p >= half - 1e-9, q - p <= 1e-9 - half
     counted: Array = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
     return counted
@@ -314,9 +325,10 @@ def record(
     progress: Progress = None,
 ) -> dict[str, Any]:
     """Records motor and marker in `folder` while the motor follows a motion. motion: a file or shape, as in
-    `motor_trajectory`, or "none": whoever else moves it, for duration_s. speed: unit/s; video: the frames are kept too;
-    seen: gets every frame. Ctrl-C, also a KeyboardInterrupt from `seen`, ends it and is no failure. Returns the result
-    of `taut record` for JSON."""
+    `motor_trajectory`, or "none": something else moves the motor, and duration_s are recorded. speed: unit/s;
+    duration_s: also of the smooth shape; video: the frames are kept too; seen: gets every frame. Ctrl-C, also a
+    KeyboardInterrupt from `seen`, ends the recording and is no failure. Returns the result of `taut record` for
+    JSON."""
     counts = {"motor_samples": 0, "frames": 0, "lost_frames": 0}
 
     def add(frame: Frame) -> None:
@@ -326,8 +338,8 @@ def record(
         counts["lost_frames"] += not frame.sighting.valid
         seen(frame)
 
-    def batch(message: wire.Message) -> None:
-        """Counts the samples of a telemetry message."""
+    def count_samples(message: wire.Message) -> None:
+        """Counts the samples of a telemetry message, if it is of this axis."""
         counts["motor_samples"] += message.count if message.axis == live.axis else 0
 
     missed_before = live.board.missed
@@ -335,7 +347,7 @@ def record(
     plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s, seed)
     left_out = other_axes(motion)
     began = live.now_us()
-    with live.board.listening(batch=batch), Recorder(live, folder, video) as recorder, live.interruptible():
+    with live.board.listening(batch=count_samples), Recorder(live, folder, video) as recorder, live.interruptible():
         try:
             if plan is not None:
                 follow(live, *plan, tip=False, seen=add, progress=progress)
@@ -357,8 +369,8 @@ def record(
 
 
 def other_axes(motion: str) -> list[str]:
-    """The columns of a motion's file that are motions of other axes (translation, rotation), which this board's axis
-    does not make, so that the user is told; none for a shape."""
+    """Returns those columns of a motion's file that are motions of other axes (translation, rotation), which this
+    board's axis does not make, so that the user can be told; none for a shape or "none"."""
     if motion == "none" or motion in SHAPES:
         return []
     names = read_columns(Path(motion), (), "").names
@@ -366,9 +378,10 @@ def other_axes(motion: str) -> list[str]:
 
 
 def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
-    """A trajectory for the motor: times, s, and positions, the rig's unit, both (n,). what: a motor.csv within the
-    rig's range, or one of SHAPES over it. speed: a shape's, unit/s; None: 15 deg/s of the tip, or half the motor's top
-    speed if that is less. seconds, seed: of the smooth shape."""
+    """Returns a trajectory for the motor: times, s, and positions, the rig's unit, both (n,). what: a motor.csv within
+    the rig's range, or one of SHAPES over it. speed: a shape's top speed, unit/s; None: 15 deg/s of the tip, or half
+    the motor's top speed if that is less. seconds, seed: of the smooth shape. TautError where `what` is neither, or
+    leaves the range."""
     actuator = live.rig.actuator
     if what not in SHAPES:
         if not Path(what).is_file():

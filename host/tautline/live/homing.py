@@ -8,9 +8,9 @@ from tautline.device import wire
 from tautline.errors import TautError
 from tautline.live.setup import Live
 
-_STEP_S = 0.02
-_RETREAT = 0.02  # of the range
-_REACH = 1.5  # of the range
+_STEP_S = 0.02  # between two looks at the axis
+_RETREAT = 0.02  # of the range: back from the end
+_REACH = 1.5  # of the range: how far the end is looked for
 _SPEED = 0.1  # of the range, per second
 _BEYOND_S = 10.0  # what a homing may take beyond the time for its reach
 
@@ -19,7 +19,7 @@ _BEYOND_S = 10.0  # what a homing may take beyond the time for its reach
 class Homing:
     """How an axis is homed. Lengths in the rig's unit; None takes what suits the rig."""
 
-    direction: int = -1  # in which the end is: -1 or 1
+    direction: int = -1  # -1 or 1: to which side the end is
     end: float | None = None  # what the position is there; else the end of the rig's range
     retreat: float | None = None  # from the end, after it was found
     reach: float | None = None  # the farthest that the end is looked for
@@ -29,8 +29,8 @@ class Homing:
 
 def home(live: Live, homing: Homing | None = None) -> float:
     """Finds the axis' zero: drives to its mechanical end at low drive, sets the position there, and backs off a little.
-    Returns the position then, the rig's unit; the motor is off. TautError for a drive with a position loop of its own,
-    which cannot press weakly, for a fault, or where it would rest beyond the board's limits."""
+    Returns the position afterwards, the rig's unit; the motor is off. TautError for a drive with a position loop of its
+    own, which cannot press weakly, for a fault, or where the axis would rest beyond the board's limits."""
     if live.board.bus():
         raise TautError(
             f"axis {live.axis} is a drive with a position loop of its own: it would press against the end with all its "
@@ -72,7 +72,8 @@ def _check_within_limits(live: Live, rest_at: float) -> None:
 
 
 def settle(live: Live, longest_s: float) -> None:
-    """Waits until the axis holds its position; TautError where it has a fault, or takes more than longest_s."""
+    """Waits until the axis holds its position (mode HOLD). TautError where it has a fault, or takes more than
+    longest_s."""
     waited = 0.0
     while waited < longest_s:
         live.wait(_STEP_S)

@@ -1,4 +1,5 @@
-"""A tracker on a board and its camera, and what the board is told of it: the tables in use follow what was learnt."""
+"""Tracks with a board and its camera while the instrument is in use, and tells the board what was learnt: the tables in
+use follow it."""
 
 from __future__ import annotations
 
@@ -24,16 +25,16 @@ from tautline.tracking import LawTracker, Row, State
 
 Array = np.ndarray
 
-_NEWS_COUNTS, _NEWS_SCALE = 1.0, 0.002  # smaller changes are not worth a message
-_BATCHES = 100  # of telemetry that are kept: the delay's and more
+_NEWS_COUNTS, _NEWS_SCALE = 1.0, 0.002  # smaller changes of offset, counts, and scale are not worth a message
+_BATCHES = 100  # messages of telemetry that are kept: they reach back beyond the camera's delay
 _AGAIN_S = 1.0  # a board that lost its host meanwhile has forgotten: it is told again
 
 
 def load_tables(board: Board, axis: int, model: Model) -> None:
-    """Loads the model's tables into an axis of the board, unless it has tables of this model already; then these stay
-    as they are, with their limits of adaptation."""
-    there = board.read_table(axis)
-    if not there or tables.decode(there).model_id != tables.model_id(model):
+    """Loads the model's tables into an axis of the board, with the limits of adaptation for use. Tables of this model
+    that are there already stay as they are, with their own limits."""
+    stored = board.read_table(axis)
+    if not stored or tables.decode(stored).model_id != tables.model_id(model):
         board.load_table(axis, tables.encode(model, axis=axis, limits=tables.Limits.in_use(model.rig)))
 
 
@@ -51,7 +52,8 @@ class TableMover:
     section `adapt`)."""
 
     def __init__(self, live: Live) -> None:
-        """Reads how far the board's tables may be moved, and moves them back to as they were calibrated."""
+        """Reads how far the board's tables may be moved, and moves them back to as they were calibrated; sends nothing
+        if they may not be moved."""
         self._live = live
         blob = live.board.read_table(live.axis)
         # The largest offset, unit of q, and the least and the largest scale of B; None: they may not be moved.
@@ -63,29 +65,31 @@ class TableMover:
             self._send(TablesMoved(-np.inf, 0.0, 1.0), 0.0)
 
     def use(self, t_s: float, offset: float, scale: float) -> None:
-        """Moves the board's tables to the offset (unit of q) and scale of B that were learnt by a frame that arrived at
-        t_s, clipped to what the tables allow (`beyond` then says so). Small changes are not sent; what is in use is
-        sent again every _AGAIN_S, for a board that has lost its host meanwhile."""
+        """Has the board move its tables to the offset (unit of q) and scale of B learnt from a frame that arrived at
+        t_s, s, clipped to what the tables allow (`beyond` then says so). Changes below _NEWS_COUNTS and _NEWS_SCALE are
+        not sent; the move in use is sent again every _AGAIN_S, for a board that has lost its host meanwhile. Does
+        nothing if the tables may not be moved."""
         if self.most is None:
             return
         farthest, least, most = self.most
-        within = TablesMoved(t_s, float(np.clip(offset, -farthest, farthest)), float(np.clip(scale, least, most)))
+        allowed = TablesMoved(t_s, float(np.clip(offset, -farthest, farthest)), float(np.clip(scale, least, most)))
         self.beyond = ""
-        if (within.offset, within.scale) != (offset, scale):
+        if (allowed.offset, allowed.scale) != (offset, scale):
             unit = self._live.rig.actuator.unit
             self.beyond = (
                 f"offset {offset:+.4g} {unit}, scale {scale:.3g} are beyond what the board's tables allow "
                 f"(+-{farthest:.4g} {unit}, {least:.3g} to {most:.3g}): calibrate and flash again"
             )
-        counts = abs(within.offset - self._in_use.offset) / self._live.resolution
-        news = counts > _NEWS_COUNTS or abs(within.scale - self._in_use.scale) > _NEWS_SCALE
-        if news:
-            self.moves.append(within)
-        if news or (self.moves and t_s > self._sent_s + _AGAIN_S):
-            self._send(within if news else self._in_use, t_s)
+        counts = abs(allowed.offset - self._in_use.offset) / self._live.resolution
+        is_new = counts > _NEWS_COUNTS or abs(allowed.scale - self._in_use.scale) > _NEWS_SCALE
+        if is_new:
+            self.moves.append(allowed)
+        if is_new or (self.moves and t_s > self._sent_s + _AGAIN_S):
+            self._send(allowed if is_new else self._in_use, t_s)
 
     def _send(self, move: TablesMoved, t_s: float) -> None:
-        """Asks the board to move its tables, which takes BLEND_S. A refusal ends all moving (`beyond` says why)."""
+        """Asks the board to move its tables, which takes BLEND_S, and keeps the move as the one in use. If the board
+        refuses, nothing is moved from now on, and `beyond` says why."""
         offset_counts = move.offset / self._live.resolution
         fields = {"offset": offset_counts, "scale": move.scale, "within_ms": round(1e3 * BLEND_S)}
         try:
@@ -115,8 +119,8 @@ class Following:
     lost: str = field(init=False, default="")  # why frames no longer come
 
     def __post_init__(self) -> None:
-        """Starts the tracker and the board's telemetry. TautError where there is no camera, the model has another unit
-        than the rig, or is none of the library's shapes."""
+        """Starts the tracker and the board's telemetry. TautError where there is no camera, the model's unit is not the
+        rig's, or the model is none of the library's shapes."""
         if self.live.marker_source is None:
             raise TautError("no camera: name one with --camera, or use --simulate")
         if self.live.rig.actuator.unit != self.model.rig.actuator.unit:
@@ -159,15 +163,15 @@ class Following:
                 self._newest_s = float(t_s[-1])
 
     def motor_at(self, t_s: float) -> float:
-        """The motor's position, the rig's unit, at a board time, s, not long ago; NaN before the _BATCHES messages that
-        are kept."""
+        """The motor's position, the rig's unit, at a board time, s; NaN for a time before the last _BATCHES messages of
+        telemetry, which are kept."""
         for times, q in reversed(self._motor_samples):
             if times[0] <= t_s:
                 return float(np.interp(t_s, times, q))
         return float("nan")
 
     def take(self, frame: Frame) -> None:
-        """Takes in the next frame, and tracks all queued ones whose scene time the telemetry has reached."""
+        """Queues the next frame, and tracks all queued frames whose scene time the motor's telemetry has reached."""
         self._read_telemetry()
         self._waiting.append(frame)
         while self._waiting and self._waiting[0].t_us * 1e-6 - self._delay_s <= self._newest_s:
@@ -175,15 +179,16 @@ class Following:
 
     def _track(self, frame: Frame) -> None:
         """Predicts where the marker is in a frame, learns from it if it shows the marker, and moves the board's tables
-        to what was learnt; if the model is stale, only where two passes of one place showed a narrower B."""
+        to what was learnt; while the model is STALE only if two passes of one place have made the tracker dial B down.
+        Hands the row to `on_row` and the frame to `shown`."""
         arrival_s, sighting = frame.t_us * 1e-6, frame.sighting
         self.row = self.tracker.predict(arrival_s - self._delay_s, arrival_s)
         self.frames += 1
         if sighting.valid:
             self.tracker.see(sighting.u_px, sighting.v_px, sighting.sigma_px)
-            off = ((self.row.u_px - sighting.u_px) ** 2 + (self.row.v_px - sighting.v_px) ** 2) / 2.0
-            if np.isfinite(off):
-                self._squared_error += off
+            squared_px = ((self.row.u_px - sighting.u_px) ** 2 + (self.row.v_px - sighting.v_px) ** 2) / 2.0
+            if np.isfinite(squared_px):
+                self._squared_error += squared_px
                 self._frames_compared += 1
             usable = self.row.state is not State.STALE or self.tracker.dialled_down
             if self.mover is not None and usable:
@@ -195,17 +200,17 @@ class Following:
         self.shown(frame, self.motor_at(arrival_s - self._delay_s))
 
     def _recognise_shape(self, row: Row) -> None:
-        """Sets `recognised_shape` to the only shape of the library that agrees with the learnt offset and scale; to
-        None if that is the model's own, or if none or several agree. Leaves it as it is while the law is as before, or
-        STALE."""
+        """Sets `recognised_shape` to the one shape of the library that agrees with the learnt offset and scale; to None
+        if that is the model's own, or if none or several agree. Leaves it as it is while what was learnt has not
+        changed, or is STALE."""
         if self.library is None or self._model_shape is None or row.state is State.STALE:
             return
         law = (row.offset, row.offset_sigma, row.scale, row.scale_sigma)
         if law == self._last_law:
             return
         self._last_law = law
-        near = self.library.nearest(Seen(*law), self._model_shape, float(np.mean(self.model.width)))
-        self.recognised_shape = near if near is not None and near.name != self._model_shape.name else None
+        agreeing = self.library.nearest(Seen(*law), self._model_shape, float(np.mean(self.model.width)))
+        self.recognised_shape = agreeing if agreeing is not None and agreeing.name != self._model_shape.name else None
 
     @property
     def beyond(self) -> str:
@@ -214,11 +219,11 @@ class Following:
 
     @property
     def rms_px(self) -> float | None:
-        """Rms of the predictions' error per coordinate, px; None before any."""
+        """Rms error of the predicted marker per coordinate, px; None before any frame was compared."""
         return float(np.sqrt(self._squared_error / self._frames_compared)) if self._frames_compared else None
 
     def summary(self) -> dict[str, Any]:
-        """What tracking came to, for the JSON of the commands that track."""
+        """Returns the state at the end and what was learnt, as the JSON of the commands that track has it."""
         row = self.row
         changes = [{"t_s": c.t_s, "state": c.state.value, "says": c.says} for c in self.tracker.changes]
         document: dict[str, Any] = {
@@ -247,12 +252,13 @@ class Following:
 
 @contextmanager
 def tracking_beside(following: Following) -> Iterator[Following]:
-    """A context within which a thread takes frames and tracks, while the block sends set-points. If the camera is lost
-    only tracking ends: `following.lost` says so, and the board's tables stay as they were moved last."""
+    """A context within which a thread takes frames and tracks, while the block sends set-points; afterwards `following`
+    is closed. If the camera is lost only tracking ends: `following.lost` says so, and the board's tables stay as they
+    were moved last."""
     ended = threading.Event()
 
     def work() -> None:
-        """Body of the thread."""
+        """Body of the thread: tracks frame after frame until the block has ended or the camera is lost."""
         try:
             while not ended.is_set():
                 following.take(following.live.look())

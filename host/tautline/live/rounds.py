@@ -1,4 +1,5 @@
-"""Which motion a live calibration runs next, whether B(q) is known well enough, and why it never will be.
+"""Plans the rounds of a live calibration: which motion comes next, whether B(q) is known well enough, and why it cannot
+become so.
 
 Nothing here moves anything: a `Round` is what the board is asked for, a `Standing` what the recording so far says.
 """
@@ -23,26 +24,26 @@ Span = tuple[float, float]
 # Shares of the range.
 _FRAME = 0.0224  # per frame at most: 5.6 mm/s of 10 mm at 25 Hz; much faster leaves too few frames a knot
 _SECOND = 0.56  # per second at most, however fast the camera
-_APPROACH, _STROKE, _LONGEST_STROKE = 0.03, 0.25, 0.45
-_WHOLE = 0.4  # a round that would need more of the range takes all of it
-BESIDE = 0.02  # strokes go on for so much beyond what they measure and the backlash
+_APPROACH, _STROKE, _LONGEST_STROKE = 0.03, 0.25, 0.45  # before a turn; a reversal without an onset: usually, at most
+_WHOLE = 0.4  # where strokes would take more of the range, passes over all of it are made
+BESIDE = 0.02  # strokes go on for the backlash and so much more beyond what they measure
 
 _OF_TOP_SPEED, _OF_TOP_ACCELERATION = 0.4, 0.8  # of the axis' limits
 _RAMP_S = 0.05  # from rest to measuring speed
-_SPEEDS = (1.0, 0.6, 0.8, 0.5)  # of the rounds in turn: what depends on speed is no delay
+_SPEEDS = (1.0, 0.6, 0.8, 0.5)  # shares of the fastest, of the rounds in turn: so B by speed is told from a delay
 _CYCLES = 3  # turning points of a pass
 _LATENCY_S = 0.4  # from an onset until the board has confirmed it
 _MOST_PASSES = 4
 _FRAMES_A_STROKE = 6  # in which the tip moves, at least
 _STROKES = (1, 6)  # there and back, at least and at most
-_AIM = 0.9  # of the goal, or the next round's is a little place beside this one's
-FEWEST = 2  # rounds before one gives up
+_AIM = 0.9  # share of the goal above which a place is measured further: else its neighbour would need the next round
+FEWEST = 2  # rounds that are made before a calibration gives up
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
 
-_BY_SPEED = OWNER["width_per_speed"].id
-_HOPELESS = 2.0  # times the longest time that a calibration may take: not begun
-_UNTIL_MM, _UNTIL_SHARE = 3e-3, 5e-4
+_BY_SPEED = OWNER["width_per_speed"].id  # the effect of a B that depends on the motor's speed
+_HOPELESS = 2.0  # a goal that needs more than this many times the longest time allowed is given up at once
+_UNTIL_MM, _UNTIL_SHARE = 3e-3, 5e-4  # the usual goal for sigma of B: mm; share of a range in deg
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Round:
     sigma_usable: float  # one that is vaguer is not used
 
     def says(self, unit: str) -> str:
-        """The round in words: positions and speeds. unit: of q."""
+        """Returns the round in words, with its positions and speeds. unit: of q."""
         speeds = " and ".join(f"{speed:.3g}" for speed in dict.fromkeys(self.speeds))
         return f"{self.low:.3g} to {self.high:.3g} {unit} at {speeds} {unit}/s"
 
@@ -84,13 +85,13 @@ class Strokes:
     transit: float  # speed between places, the rig's unit/s
 
     def says(self, unit: str) -> str:
-        """The strokes in words: positions. unit: of q."""
+        """Returns the strokes in words, with their positions. unit: of q."""
         return " and ".join(f"{place.low:.3g} to {place.high:.3g} {unit}" for place in self.places) + " and back"
 
 
 @dataclass(frozen=True)
 class Means:
-    """The motions that a set-up allows. In the unit of q."""
+    """What a set-up allows for the motions of a calibration. In the unit of q."""
 
     low: float  # of the range
     high: float
@@ -103,9 +104,10 @@ class Means:
         cls, low: float, high: float, frame_rate_hz: float, top_speed: float, top_acceleration: float,
         speeds: tuple[float, ...] | None = None,
     ) -> Means:  # fmt: skip
-        """Chooses speeds (unless `speeds` are given) and acceleration of calibration passes over a range. The fastest
-        speed is limited to shares of the range per frame and per second, of the motor's top speed, and of what its top
-        acceleration reaches in a ramp; the rounds take the shares _SPEEDS of that. All in the unit of q."""
+        """Chooses speeds (unless `speeds` are given) and acceleration of calibration passes over the range from low to
+        high. The fastest speed is the least of: _FRAME of the range per frame, _SECOND of it per second, a share of the
+        motor's top speed, and what a share of its top acceleration reaches within _RAMP_S. The rounds take the shares
+        _SPEEDS of that. All in the unit of q."""
         if speeds is None:
             fast = min(
                 _FRAME * frame_rate_hz * (high - low), _SECOND * (high - low), _OF_TOP_SPEED * top_speed,
@@ -132,8 +134,8 @@ class Place:
 
 @dataclass(frozen=True)
 class Standing:
-    """How well B(q) is known so far: nowhere worse than `worst`, which is at `where`. `missing` is what could be
-    measured and is not, (0, 0) where that is little."""
+    """How well B(q) is known so far: its largest standard deviation, `worst`, is at `where`. `missing` are positions at
+    which B could be measured and is not yet; (0, 0) where there are none but a few at the ends."""
 
     worst: float  # one standard deviation, unit of q
     where: float  # position, unit of q
@@ -142,15 +144,16 @@ class Standing:
     missing: Span  # unit of q
     widest: float  # the largest B, unit of q
     unmoved: float  # the longest stroke that moved nothing, unit of q; 0 where none did
-    work: float  # what reaching the goal everywhere costs, in times of what was done so far
-    doubt: str  # the calibration's first, empty where it has none
-    by_speed: bool = False  # B may go with the motor's speed
+    work: float  # time that the goal takes everywhere, in times of the time so far
+    doubt: str  # the calibration's first reason that is not mild, in words; empty where it has none
+    by_speed: bool = False  # whether B may depend on the motor's speed
 
     @classmethod
     def of(cls, calibration: Calibration, low: float, high: float, until: float) -> Standing:
-        """How well a calibration of what was recorded so far knows B. low, high: the range; until: the wanted sigma of
-        B; all in the unit of q. Where it has measured no B yet, sigma is infinite."""
+        """Takes from a calibration of what was recorded so far how well it knows B. low, high: the range; until: the
+        wanted sigma of B; all in the unit of q. Where the calibration has measured no B yet, sigma is infinite."""
         model = calibration.model
+        # A reversal without an onset (BOUND) tells only that B is longer than its stroke.
         unmoved = max((onset.low for onset in calibration.onsets if onset.used and onset.kind == BOUND), default=0.0)
         doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
         inside = model.is_measured
@@ -170,7 +173,7 @@ class Standing:
             missing=_unmeasured(calibration, low, high),
             widest=widest,
             unmoved=unmoved,
-            work=float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),
+            work=float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),  # variance falls as time grows
             doubt=doubt,
             by_speed=any(reason.code == _BY_SPEED for reason in model.quality.reasons),
         )
@@ -185,22 +188,22 @@ class Standing:
         return self.covered and self.worst <= until
 
     def share(self, until: float) -> float:
-        """Progress towards the goal `until` (sigma of B, unit of q), 0 to 1: the wanted variance over the present one,
-        as variance falls in inverse proportion to time."""
+        """Returns the progress towards the goal `until` (sigma of B, unit of q), 0 to 1: the wanted variance over the
+        present one, as variance falls in inverse proportion to time."""
         return min((until / self.worst) ** 2, 1.0) if self.worst > 0 else 1.0
 
 
 def _insufficient_places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
-    """The stretches of q (n,) where sigma of B (n,) is above _AIM times the goal `until`; stretches that are less than
-    `apart` from each other are joined. All in the unit of q."""
-    bad = np.flatnonzero(sigma > _AIM * until)
-    runs = np.split(bad, np.flatnonzero(np.diff(q[bad]) > apart) + 1) if len(bad) else []
+    """Finds the stretches of positions q (n,) where sigma of B (n,) is above _AIM times the goal `until`; stretches
+    that are `apart` or less from each other are joined. All in the unit of q."""
+    too_vague = np.flatnonzero(sigma > _AIM * until)
+    runs = np.split(too_vague, np.flatnonzero(np.diff(q[too_vague]) > apart) + 1) if len(too_vague) else []
     return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
 
 
 def _unmeasured(calibration: Calibration, low: float, high: float) -> Span:
-    """The positions (from, to), unit of q, where B could be seen (all but B/2 at either end of the range) and is not
-    measured yet: the whole range, low to high, if both ends are missing, (0, 0) if none is."""
+    """Returns the positions (from, to), unit of q, where B could be seen (all but B/2 and a little at either end of the
+    range) and is not measured yet: the whole range, low to high, if both ends are missing, (0, 0) if none is."""
     model = calibration.model
     first, last = seeable(model, low, high)
     below, above = model.measured[0] > first, model.measured[1] < last
@@ -212,13 +215,14 @@ def _unmeasured(calibration: Calibration, low: float, high: float) -> Span:
 
 
 def default_until(actuator: Actuator) -> float:
-    """The goal, a standard deviation of B in unit of q, unless the user names another: 3 um, or 0.05 % of a range in
-    deg."""
+    """Returns the goal, a standard deviation of B in the unit of q, for a user who names none: 3 um, or 0.05 % of the
+    range of an actuator in deg."""
     return _UNTIL_MM if actuator.unit == "mm" else _UNTIL_SHARE * actuator.span
 
 
 def in_words(sigma: float, unit: str) -> str:
-    """A standard deviation in unit of q as a person reads it, um for mm; "unknown" where it is not finite."""
+    """Formats a standard deviation, unit of q, for a person: in um where the unit is mm; "unknown" where it is not
+    finite."""
     if not np.isfinite(sigma):
         return "unknown"
     return f"{1e3 * sigma:.2g} µm" if unit == "mm" else f"{sigma:.2g} {unit}"
@@ -228,8 +232,8 @@ def in_words(sigma: float, unit: str) -> str:
 
 
 def strokes_made(done: Sequence[Round | Strokes]) -> bool:
-    """Whether there are strokes among the rounds that are done (the first one is always of passes): before both have
-    been made a small sigma is not relied on."""
+    """Whether there are strokes among the rounds that are done. The first round is always of passes, and a small sigma
+    is believed only once both kinds have been made."""
     return any(isinstance(made, Strokes) for made in done)
 
 
@@ -241,11 +245,11 @@ def first_round(means: Means) -> Round:
 def next_round(
     means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
 ) -> Round | Strokes:
-    """Which round to make next, after those that are `done` in `seconds` s. In this order: a slower pass, if that tells
-    something (`slower_tells`); a pass over the whole range, if something is not measured at all; strokes where sigma of
-    B is above the goal `until`, unit of q, the first time also at both ends (a pass is there for a frame or two only);
-    but if that is much of the range, as many passes as the goal will take."""
-    if slower_tells(means, standing, until, done):
+    """Chooses the round after those that are `done`, which took `seconds` s. The first of these that applies: a pass at
+    the slowest speed, if `slower_pass_tells`; a pass over the whole range, if some of it is not measured; strokes where
+    sigma of B is too large for the goal `until`, unit of q, and the first time also at both ends, where a pass stays
+    for a frame or two only; if these places are much of the range, as many passes over all of it as the goal needs."""
+    if slower_pass_tells(means, standing, until, done):
         return _round_over(means, (min(means.speeds),))
     speed = means.speeds[len(done) % len(means.speeds)]
     if not standing.covered:
@@ -256,36 +260,38 @@ def next_round(
         return Strokes(
             tuple(_stroke_for(means, place, standing.widest, until, seconds) for place in need), means.speeds[0]
         )
-    # A place's variance falls as the time spent there grows.
+    # A place's variance falls in inverse proportion to the time spent there. A pass crosses the range out and back, and
+    # at each of its turning points the backlash, the approach and what the board takes to confirm, there and back.
     approach = _APPROACH * means.span
     pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
     passes = int(np.clip(np.ceil(seconds * (variance_ratio - 1.0) / pass_s), 1, _MOST_PASSES))
     return _round_over(means, (speed,) * passes)
 
 
-def slower_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
-    """Whether a pass at the slowest speed, if none was made yet, would tell whether B goes with speed. At one speed
-    such an effect looks nearly like a delay, and what remains of it may be chance. until: the goal, unit of q."""
+def slower_pass_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
+    """Whether to make a pass at the slowest speed: B may depend on speed, the range is covered, the goal `until`, unit
+    of q, is not reached, and no such pass was made yet. At one speed such an effect looks nearly like a delay, and what
+    remains of it may be chance."""
     slowest = min(means.speeds)
-    made = any(isinstance(each, Round) and min(each.speeds) <= slowest for each in done)
-    return standing.by_speed and standing.covered and standing.worst > until and not made
+    slow_pass_made = any(isinstance(each, Round) and min(each.speeds) <= slowest for each in done)
+    return standing.by_speed and standing.covered and standing.worst > until and not slow_pass_made
 
 
 def why_another(standing: Standing, until: float, unit: str, done: Sequence[Round | Strokes]) -> str:
-    """Why another round follows those that are `done`, in words. until: the goal, unit of q."""
+    """Says why another round follows those that are `done`. until: the goal, a sigma of B in unit of q."""
     if not standing.covered:
         return f"{not_measured(standing.missing, unit)} yet"
-    here, wanted = in_words(standing.worst, unit), in_words(until, unit)
+    sigma, wanted = in_words(standing.worst, unit), in_words(until, unit)
     if standing.by_speed and not standing.reached(until):
-        return f"sigma is {here} where {wanted} is wanted, as B may go with the motor's speed"
+        return f"sigma is {sigma} where {wanted} is wanted, as B may go with the motor's speed"
     if standing.reached(until) and not strokes_made(done):
-        return f"sigma is {here} where {wanted} is wanted, but passes alone are not believed: turns at both ends first"
-    return f"sigma is {here} at {standing.where:.3g} {unit} where {wanted} is wanted"
+        return f"sigma is {sigma} where {wanted} is wanted, but passes alone are not believed: turns at both ends first"
+    return f"sigma is {sigma} at {standing.where:.3g} {unit} where {wanted} is wanted"
 
 
-def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
-    """An addition to why the goal was not reached, if it had looked reached after an earlier round; else "". best: the
-    smallest worst sigma after any round; until: the goal; both in unit of q."""
+def no_longer_reached(best: float, standing: Standing, until: float, unit: str) -> str:
+    """Returns an addition to the text on why the goal was not reached, where it had looked reached after an earlier
+    round; else "". best: the smallest worst sigma after any round; until: the goal; both in unit of q."""
     if best > until or standing.reached(until):
         return ""
     return (
@@ -295,8 +301,8 @@ def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
 
 
 def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
-    """The places whose sigma is too large, and both ends of what is measured, from low to high. An end that is added
-    gets the goal `until` as its sigma."""
+    """Returns the places whose sigma is too large, and both ends of what is measured, from low to high. An end that is
+    added has no length, and the goal `until` as its sigma."""
     first, last = (Place(end, end, until) for end in standing.ends)
     need = standing.need
     below = () if need and need[0].low <= first.low else (first,)
@@ -306,24 +312,24 @@ def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
 
 def _stroke_for(means: Means, place: Place, widest: float, until: float, seconds: float) -> Stroke:
     """Plans the strokes across a place: longer than it by half the `widest` B and a margin on either side, slow enough
-    for _FRAMES_A_STROKE frames in which the tip moves, and as often as the variance, which falls as the time spent
-    there grows, takes to reach the goal `until`. seconds: that all rounds so far took. Lengths and sigmas in the unit
-    of q."""
+    for _FRAMES_A_STROKE frames in which the tip moves, and as often as the goal `until` takes there. seconds: what all
+    rounds so far took. Lengths and sigmas in the unit of q."""
     beside = BESIDE * means.span
     reach = 0.5 * widest + beside
     low, high = max(place.low - reach, means.low), min(place.high + reach, means.high)
-    moving = place.high - place.low + 2 * beside
-    speed = min(_SPEEDS[1] * means.speeds[0], moving / (_FRAMES_A_STROKE * means.frame_s))
-    # A place's variance falls as the time spent there grows; next to the ends that is one visit so far.
+    tip_moves = place.high - place.low + 2 * beside
+    speed = min(_SPEEDS[1] * means.speeds[0], tip_moves / (_FRAMES_A_STROKE * means.frame_s))
+    # A place's variance falls in inverse proportion to the time spent there: its share of `seconds` so far. Next to the
+    # ends of the range that was one visit, and strokes there and back are two: hence half the ratio at least.
     variance_ratio = (place.sigma / until) ** 2  # the present one over that of the goal
-    wanted_s = (variance_ratio - 1.0) * seconds * moving / means.span
-    times = int(np.clip(np.ceil(max(0.5 * variance_ratio, 0.5 * wanted_s * speed / moving)), *_STROKES))
+    wanted_s = (variance_ratio - 1.0) * seconds * tip_moves / means.span
+    times = int(np.clip(np.ceil(max(0.5 * variance_ratio, 0.5 * wanted_s * speed / tip_moves)), *_STROKES))
     return Stroke(low, high, speed, times)
 
 
 def _round_over(means: Means, speeds: tuple[float, ...], stroke: float = _STROKE) -> Round:
-    """A round of passes over all of the range at these speeds, unit/s. stroke: share of the range at which a reversal
-    without an onset ends."""
+    """Returns a round of passes over all of the range at these speeds, unit/s. stroke: share of the range after which a
+    reversal without an onset ends."""
     span = means.span
     return Round(
         means.low, means.high, speeds, _CYCLES, transit=max(means.speeds[0], *speeds), acceleration=means.acceleration,
@@ -346,8 +352,10 @@ class CameraView:
 def why_not(
     standing: Standing, until: float, unit: str, camera: CameraView, seconds: float, at_most_s: float, rounds: int
 ) -> str:
-    """Why the goal cannot be reached, a sentence with its remedy; "" where it is reached or may be yet. until: the
-    goal, unit of q; seconds: the time so far, of at_most_s; rounds: how many were made."""
+    """Says why the goal cannot be reached, a sentence with its remedy; "" where it is reached or may be yet. A
+    calibration is given up when the time is up, or after FEWEST rounds where a part of the range is not measured or the
+    goal would take more than _HOPELESS times at_most_s. until: the goal, unit of q; seconds: the time so far; rounds:
+    how many were made."""
     out_of_time = seconds >= at_most_s
     if standing.reached(until) or (rounds < FEWEST and not out_of_time):
         return ""
@@ -356,22 +364,22 @@ def why_not(
     needed = seconds * standing.work
     if not out_of_time and needed <= _HOPELESS * at_most_s:
         return ""
-    here = f"sigma is {in_words(standing.worst, unit)} at {standing.where:.3g} {unit}"
+    worst = f"sigma is {in_words(standing.worst, unit)} at {standing.where:.3g} {unit}"
     low, high = camera.unseen
     if low - standing.widest < standing.where < high + standing.widest and low < high:
-        return f"{here}: {_marker_not_seen(camera, unit)}"
+        return f"{worst}: {_marker_not_seen(camera, unit)}"
     if standing.doubt:
-        return f"{here}, and more frames of the same do not help: {standing.doubt}"
+        return f"{worst}, and more frames of the same do not help: {standing.doubt}"
     noise = f" with {camera.noise_px:.2g} px of noise in the marker" if np.isfinite(camera.noise_px) else ""
     time = f", and {needed:.0f} s would be needed" if np.isfinite(needed) else ""
     return (
-        f"{here}{noise}{time}: steady the camera, light or enlarge the marker, name a larger --until, or give it time "
+        f"{worst}{noise}{time}: steady the camera, light or enlarge the marker, name a larger --until, or give it time "
         "with --at-most"
     )
 
 
 def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
-    """Why B could not be measured in a part of the range, with a remedy."""
+    """Says why B could not be measured in a part of the range, with a remedy."""
     low, high = standing.missing
     if camera.unseen[0] < camera.unseen[1]:
         return _marker_not_seen(camera, unit)
@@ -384,7 +392,7 @@ def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
 
 
 def _marker_not_seen(camera: CameraView, unit: str) -> str:
-    """The sentence, with a remedy, on the positions at which the marker was lost."""
+    """Says at which positions the marker was lost, with a remedy."""
     low, high = camera.unseen
     return (
         f"the marker is not seen from {low:.3g} to {high:.3g} {unit}: bring it into view there, or take these "

@@ -25,10 +25,10 @@ Array = np.ndarray
 Progress = Callable[[float, str], None] | None
 
 _PROBE_SHARES = (0.06, 0.2)  # of the range to either side: first carefully, then beyond backlash and dead zone
-_STILL_FRAMES = 8
-_OFF_PX = 0.02  # of a marker's place, however many frames
+_STILL_FRAMES = 8  # that are taken of an axis at rest
+_OFF_PX = 0.02  # error of a marker's place that no number of frames averages out
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
-_HOST_TIMEOUT_S = 1.0
+_HOST_TIMEOUT_S = 1.0  # without a frame for so long the board ends its motion
 # The board's onset detector, in shares of the range: sigma of an onset that is good enough to turn round, of one too
 # vague to use, and the travel of a turn; and by how many times itself the image's slope may change over the range.
 _SIGMA_WANTED, _SIGMA_USABLE, _TURN, _SLOPE_CHANGES = 1.5e-4, 2.5e-3, 4e-4, 4.0
@@ -75,8 +75,8 @@ def driving(live: Live) -> Iterator[None]:
 
 
 def set_range(live: Live, low: float, high: float) -> None:
-    """Sets the position limits of the axis, the rig's unit, as far as the settings on the board allow; its other limits
-    stay. TautError where both have no position in common."""
+    """Sets the position limits of the axis, the rig's unit, to the part of low to high that the settings on the board
+    allow; its other limits stay. TautError where the two ranges do not overlap."""
     limits = dict(live.board.ask("get_limits", axis=live.axis).values)
     own = live.board.ask("get_settings", axis=live.axis)
     limits.update(q_low=max(low / live.resolution, own.q_low), q_high=min(high / live.resolution, own.q_high))
@@ -90,7 +90,7 @@ def set_range(live: Live, low: float, high: float) -> None:
 
 def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] | None = None) -> None:
     """Moves the motor to q, the rig's unit, at up to `speed`, unit/s, and waits until it is there; frames meanwhile go
-    to `seen`. TautError for a fault, or where it takes too long."""
+    to `seen`. TautError for a fault, or where it takes 2 s more than 1.5 times the way at this speed."""
     start = live.motor_position()
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
     longest = 2.0 + 1.5 * abs(q - start) / speed  # s, tolerance
@@ -114,9 +114,10 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
 
 
 def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
-    """Checks, before a calibration motion is made, that scale and sign in the rig are right: by small moves in both
-    directions, twice at most, and how far the marker moves. speed: unit/s; frames go to `seen`. TautError, with the
-    likely reason, where the marker's motion does not fit the motor's."""
+    """Checks that scale and sign in the rig are right, before a calibration motion is made: moves the motor to both
+    sides, by a little and then farther (_PROBE_SHARES), and compares how far the marker moves with how far the motor
+    does. speed: unit/s; frames go to `seen`. TautError, with the likely reason, where the two do not fit, or the motor
+    is outside of the rig's range."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
     start = live.motor_position()
@@ -128,6 +129,7 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
     for share in _PROBE_SHARES:
         reach = share * rig.actuator.span
         centre = min(max(start, low + reach), high - reach)
+        # Marker and motor after each move. The first move only takes up the backlash: the other two are compared.
         spots = []
         for q in (centre - reach, centre + reach, centre - reach):
             move_to(live, q, speed, seen)
@@ -143,41 +145,42 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         c = rig.coarse.gain * np.array([q_first, q_second]) + rig.coarse.offset
         expected = np.subtract(*project(rig, c)[::-1])
         enough = _check_marker_motion(moved, expected, sigma)
-    if not enough:
-        distance, length = float(np.linalg.norm(moved)), float(np.linalg.norm(expected))
+    if not enough:  # nor after the larger moves
+        moved_px, expected_px = float(np.linalg.norm(moved)), float(np.linalg.norm(expected))
         raise TautError(
-            f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera "
-            f"looking at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash "
+            f"the motor moved {2 * reach:.3g} {unit}, the marker {moved_px:.2g} px of {expected_px:.3g}: is this camera"
+            f" looking at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash "
             "larger"
         )
 
 
 def _check_marker_motion(moved: Array, expected: Array, sigma: float) -> bool:
-    """TautError where the marker moved much farther than expected, or the other way. moved, expected: (2,) px; sigma:
-    of `moved`, px. Returns whether it moved far enough for that to be told."""
-    length, distance = float(np.linalg.norm(expected)), float(np.linalg.norm(moved))
-    if distance > _TOO_MUCH * length + 10 * sigma:
+    """TautError where the marker moved more than _TOO_MUCH times as far as expected, or the other way. moved, expected:
+    (2,) px; sigma: standard error of the marker's place, px. Returns whether it moved far enough for its direction to
+    be told."""
+    expected_px, moved_px = float(np.linalg.norm(expected)), float(np.linalg.norm(moved))
+    if moved_px > _TOO_MUCH * expected_px + 10 * sigma:
         raise TautError(
-            f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
+            f"the marker moved {moved_px:.3g} px where f_coarse says {expected_px:.3g}: a scale is too large: check "
             "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
         )
-    along = float(moved @ expected / max(length, 1e-9))
-    enough = distance > max(_TOO_LITTLE * length, 12 * sigma)
-    if enough and along < -0.5 * distance:
+    along = float(moved @ expected / max(expected_px, 1e-9))
+    enough = moved_px > max(_TOO_LITTLE * expected_px, 12 * sigma)
+    if enough and along < -0.5 * moved_px:
         raise TautError(
-            f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
+            f"the marker moves against what f_coarse says ({along:.3g} px of {expected_px:.3g}): turn the sign of "
             "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
         )
     return enough
 
 
 def _marker_at_rest(live: Live, seen: Callable[[Frame], object]) -> tuple[Array, float]:
-    """Takes _STILL_FRAMES that show the axis at rest, after those that are still on their way from before; returns the
-    marker's mean position (2,) and its standard error, px. All frames go to `seen`. TautError where the marker is lost
-    in most of them."""
-    late = round(live.rig.delay_s * (live.rig.camera.frame_rate_hz if live.rig.camera else 25.0)) + 1
+    """Takes frames of the axis at rest: first those that are still on their way from before, then _STILL_FRAMES.
+    Returns the marker's mean position (2,) and its standard error, px, in the last _STILL_FRAMES frames that show it.
+    All frames go to `seen`. TautError where fewer than half of that number show it."""
+    delayed_frames = round(live.rig.delay_s * (live.rig.camera.frame_rate_hz if live.rig.camera else 25.0)) + 1
     places = []
-    for _ in range(_STILL_FRAMES + late):
+    for _ in range(_STILL_FRAMES + delayed_frames):
         frame = live.look()
         seen(frame)
         if frame.sighting.valid:
@@ -197,14 +200,14 @@ class Motions:
     """Runs rounds of calibration motion on a board, one after the other, and records each frame."""
 
     def __init__(self, live: Live, recorder: Recorder, made: Motion) -> None:
-        """made: its counts and onsets are updated as rounds are run."""
+        """recorder: gets every frame; made: the counts and onsets that are updated as rounds are run."""
         self.live, self.recorder, self.made = live, recorder, made
-        self.permille = 0  # progress of the present round in 1/1000, by the board
+        self.permille = 0  # progress of the present round in 1/1000, as the board reports it
         self._before = 0  # reversals of the rounds before this one
         self._state = _RUNNING[0]  # of the board's motion, a number of TL_WIRE_MOTIONS
 
     def listening(self) -> AbstractContextManager[None]:
-        """A context within which the board's messages on progress and onsets are taken in; `run` needs it."""
+        """A context within which the board's messages on progress and onsets are kept; `run` needs it."""
         return self.live.board.listening(progress=self._on_progress, onset=self._on_onset)
 
     def _on_progress(self, message: wire.Message) -> None:
@@ -221,8 +224,8 @@ class Motions:
 
     def run(self, wanted: Round, enough: Callable[[Frame], bool]) -> None:
         """Runs a round of passes, which the board's own calibration motion makes, until it is complete or
-        `enough(frame)`, which gets every frame, has been true; then the axis is at rest. TautError where the motion
-        ends otherwise."""
+        `enough(frame)`, which gets every frame, was true once; the axis is at rest afterwards. TautError where the
+        motion ends otherwise."""
         live = self.live
         self._before = self.made.reversals
         live.board.ask("motion_start", axis=live.axis, **self._motion_fields(wanted))
@@ -242,7 +245,7 @@ class Motions:
             raise TautError(f"the calibration motion is {ended}: what was recorded is in {self.made.folder}")
 
     def _motion_fields(self, wanted: Round) -> dict[str, Any]:
-        """The fields of the message `motion_start` for a round of passes, lengths in counts."""
+        """Returns the fields of the message `motion_start` for a round of passes: lengths in counts, times in us."""
         resolution, camera = self.live.resolution, self.live.rig.camera
         assert camera is not None
         counts = (wanted.high - wanted.low) / resolution
@@ -265,21 +268,21 @@ class Motions:
 
     def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
         """Runs a round of strokes, one place after the other, until all are done or `enough(frame)`, which gets every
-        frame, has been true; then the axis is at rest."""
+        frame, was true once: the move that is under way is then finished. The axis is at rest afterwards."""
         done = False
 
-        def seen(frame: Frame) -> None:
-            """Records a frame and asks whether that is enough."""
+        def on_frame(frame: Frame) -> None:
+            """Records a frame; sets `done` if the frame is enough."""
             nonlocal done
             self._record_frame(frame)
             done = enough(frame) or done
 
         for place in wanted.places:
-            move_to(self.live, place.low, wanted.transit, seen)
+            move_to(self.live, place.low, wanted.transit, on_frame)
             for end in (place.high, place.low) * place.times:
                 if done:
                     return
-                move_to(self.live, end, place.speed, seen)
+                move_to(self.live, end, place.speed, on_frame)
                 self.made.reversals += 1
 
     def _record_frame(self, frame: Frame) -> None:
@@ -288,9 +291,9 @@ class Motions:
         self.made.frames += 1
         self.made.lost_frames += not frame.sighting.valid
 
-    def still(self) -> None:
-        """Records _STILL_FRAMES of the axis at rest: the last of the motion, which are still on their way, and some
-        that show the noise."""
+    def record_rest(self) -> None:
+        """Records _STILL_FRAMES of the axis at rest: the last ones of the motion, which are still on their way, and
+        some that show the noise. They are not counted in `made`."""
         for _ in range(_STILL_FRAMES):
             self.recorder.add(self.live.look())
 
@@ -298,8 +301,9 @@ class Motions:
 @contextmanager
 def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> Iterator[Motions]:
     """A context within which the motor is on, limited to low to high (the rig's unit), and everything is recorded in
-    `folder`; gives what runs rounds. video: the frames are kept too. Whatever happens, the axis comes to rest and what
-    was recorded stays; Ctrl-C becomes a TautError that says so."""
+    `folder`; yields the Motions that runs rounds. video: the frames are kept too. Whatever happens, the axis comes to
+    rest and what was recorded stays; Ctrl-C becomes a TautError that says so. Time and missed telemetry are set in
+    `Motions.made` if the block ends without an error."""
     made, missed_before = Motion(folder), live.board.missed
     began = live.now_us()
     with Recorder(live, folder, video) as recorder, driving(live):
@@ -337,9 +341,9 @@ def check_rig(live: Live) -> None:
         )
 
 
-def thorough(live: Live, options: MotionOptions) -> Round:
-    """The thorough calibration motion (that of the paper), slow passes with many reversals, for this set-up. TautError
-    for speeds that the board cannot take."""
+def thorough_round(live: Live, options: MotionOptions) -> Round:
+    """Plans the thorough calibration motion (that of the paper), slow passes with many reversals, for this set-up; what
+    `options` leave as None is chosen. TautError for speeds that the board cannot take."""
     rig = live.rig
     low = rig.actuator.range[0] if options.low is None else options.low
     high = rig.actuator.range[1] if options.high is None else options.high
@@ -368,7 +372,7 @@ def record_calibration(
     does not fit, or the marker was lost in most frames."""
     check_rig(live)
     options = options or MotionOptions()
-    wanted = thorough(live, options)
+    wanted = thorough_round(live, options)
     low, high, unit = wanted.low, wanted.high, live.rig.actuator.unit
     with moving(live, folder, low, high, video) as motions:
         watch = Watch(live, motions.recorder, View(low, high, unit, doing=wanted.says(unit)), show=show)
@@ -377,8 +381,8 @@ def record_calibration(
                 progress(0.0, "checking scale and sign")
             probe(live, motions.recorder.add, wanted.transit)
 
-        def seen(frame: Frame) -> bool:
-            """Shows a frame; False, as the motion shall run to its end."""
+        def show_frame(frame: Frame) -> bool:
+            """Shows a frame. Returns False, as the motion shall run to its end."""
             made = motions.made
             if show:
                 watch.frame(frame, made.reversals)
@@ -387,8 +391,8 @@ def record_calibration(
             return False
 
         with closing(watch):
-            motions.run(wanted, seen)
-        motions.still()
+            motions.run(wanted, show_frame)
+        motions.record_rest()
     made = motions.made
     if made.lost_frames > 0.5 * made.frames:
         raise TautError(
@@ -410,18 +414,20 @@ def calibrate_live(
     """Runs the thorough calibration motion, records it in `folder` (see `record_calibration`), and calibrates that
     recording with `options`."""
 
-    def part(low: float, high: float) -> Progress:
-        """`progress` for a step that goes from the share `low` of the whole to `high`."""
+    def progress_of_part(low: float, high: float) -> Progress:
+        """Returns a `progress` for a step that goes from the share `low` of the whole to `high`; None without
+        `progress`."""
         return (lambda share, what: progress(low + (high - low) * share, what)) if progress else None
 
-    made = record_calibration(live, folder, motion, video, part(0.0, 0.8), show)
-    return calibrate([load(folder, live.rig)], live.rig, options, part(0.8, 1.0)), made
+    made = record_calibration(live, folder, motion, video, progress_of_part(0.0, 0.8), show)
+    return calibrate([load(folder, live.rig)], live.rig, options, progress_of_part(0.8, 1.0)), made
 
 
 def _stop_motion(live: Live) -> None:
-    """Ends the board's calibration motion and waits until the axis rests, if the board still answers."""
+    """Ends the board's calibration motion and waits until the axis rests. Does nothing more where the board does not
+    answer or has a fault: it then comes to rest by itself."""
     try:
         live.board.ask("motion_stop", axis=live.axis)
         live.rest()
     except TautError:
-        pass  # gone or faulted: the board comes to rest by itself
+        pass  # gone or faulted

@@ -76,17 +76,18 @@ class CameraSource:
 
     @property
     def dropped(self) -> int:
-        """Frames that the camera took and that never came."""
+        """How many frames the camera took that never came."""
         return self._camera.dropped
 
     @property
     def says(self) -> dict[str, str | int]:
-        """What a command's JSON says of the camera: what its times are, its exposure, how many frames it lost."""
+        """What a command's JSON says of the camera: which clock its times are of, its exposure, how many frames were
+        lost."""
         return {"clock": self._camera.clock, "exposure": self._camera.exposure, "dropped": self.dropped}
 
     def look(self) -> Frame:
-        """Waits for the next frame, and tracks its marker. TautError where the camera ends, or its frames have another
-        size than the rig's."""
+        """Waits for the next frame, tracks its marker, and aligns the board's clock by one round trip, for the
+        arrival's board time. TautError where the camera ends, or its frames have another size than the rig's."""
         taken = self._camera.read()
         if taken is None:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
@@ -118,7 +119,8 @@ class LockstepSource:
         self._plant, self._camera, self._tracker = plant, camera, tracker
 
     def look(self) -> Frame:
-        """Advances board and instrument to the arrival of the camera's next frame, and returns that."""
+        """Advances board and instrument to the arrival of the camera's next frame, and returns that frame. Frames that
+        passed since the last call are skipped."""
         while self._camera.next_arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             self._camera.read()
         self._plant.advance_to(self._camera.next_arrival_s)
@@ -144,8 +146,8 @@ class PointSource:
         self._rng = np.random.default_rng([seed, 0xE1E])
 
     def look(self) -> Frame:
-        """Advances board and instrument to the next frame's arrival, and returns it: the marker's projection with
-        noise, without a picture."""
+        """Advances board and instrument to the next frame's arrival, and returns that frame: the marker's projection
+        with noise, without a picture. Frames that passed since the last call are skipped."""
         scene_s, arrival_s = next(self._frames)
         while arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             scene_s, arrival_s = next(self._frames)
@@ -158,7 +160,7 @@ class PointSource:
         """Does nothing: without pictures the marker needs no colour to be found."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Does nothing: this source holds nothing open."""
 
 
 @dataclass
@@ -220,7 +222,7 @@ class Live:
                 self.release()
 
     def _check_stop(self) -> None:
-        """Raises KeyboardInterrupt where Ctrl-C came since the last look."""
+        """Raises KeyboardInterrupt, once, where Ctrl-C came since the last call."""
         if self.stopping:
             self.stopping = False
             raise KeyboardInterrupt
@@ -257,12 +259,13 @@ class Live:
             self._take_in()
 
     def _take_in(self) -> None:
-        """Takes in what a simulated board has sent; a real one has a thread that does."""
+        """Takes in what a simulated board has sent. Does nothing for a real one, which has a thread for that."""
         if self.plant is not None:
             self.board.sync()
 
     def now_us(self) -> int:
-        """Board time, us: the simulation's, or asked of the board and so as old as its answer's way."""
+        """Returns the board's time, us: the simulation's, or the one that the board gives when asked, which is as old
+        as the answer's way."""
         return round(self.plant.now_s * 1e6) if self.plant is not None else self.board.sync()
 
     def rest(self, timeout_s: float = 5.0) -> wire.Message:
@@ -282,12 +285,12 @@ class Live:
 
     def let_go(self) -> None:
         """Switches the motor off at once, from another thread than the one that drives, which may hang in the camera.
-        Does nothing where time is virtual: there is no reading thread then that could take the answer in."""
+        Does nothing in a simulation: there no thread reads that could take in the board's answer."""
         if not self.virtual:
             self.board.ask("enable", axis=self.axis, on=0)
 
     def release(self) -> None:
-        """Brings the axis to rest within its limits and switches the motor off, from whatever it does; waits for it 5 s
+        """Brings the axis to rest within its limits, whatever it does, and switches the motor off; waits for that 5 s
         at most."""
         self.board.ask("enable", axis=self.axis, on=0)
         waited = 0.0
@@ -372,9 +375,9 @@ class Recorder:
         finally:
             self._paused = False
 
-    def so_far(self) -> Recording:
-        """A Recording of what the files hold now, with the numbers as written, without reading them. May be called from
-        any thread. TautError where nothing came yet."""
+    def recording_so_far(self) -> Recording:
+        """Returns a Recording of what the files hold now, with the numbers as written, without reading the files. May
+        be called from any thread. TautError where no telemetry or no frame came yet."""
         motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))
         if not len(motor) or not len(marker):
             raise TautError("nothing was recorded yet: no telemetry or no frame came")
@@ -391,8 +394,9 @@ class Recorder:
         return rows[after - 1][1] if after else float("nan")
 
     def add(self, frame: Frame) -> None:
-        """Records one frame: a row of marker.csv, a picture of the video if that is wanted, and the first picture that
-        shows the marker as a file of its own, for reports."""
+        """Records one frame: a row of marker.csv, a picture of the video if one is wanted, and the first picture that
+        shows the marker as a file of its own, for reports. Every _FLUSH_FRAMES frames motor.csv and marker.csv are
+        flushed to the disk."""
         if self._marker is None:
             self._marker = (self.folder / "marker.csv").open("w", buffering=1 << 13)
             size = None if frame.picture is None else (frame.picture.shape[1], frame.picture.shape[0])
@@ -435,15 +439,15 @@ def _advance(link: SimLink, seconds: float) -> None:
 
 
 def _with_board_instrument(rig: Rig, board: Board, axis: int) -> Rig:
-    """The rig with the instrument's name from the board's settings, if the rig has none itself, so that recordings and
-    models carry it."""
-    there: str = board.ask("get_settings", axis=axis).instrument
-    return replace(rig, actuator=replace(rig.actuator, instrument=rig.actuator.instrument or there or None))
+    """Returns the rig with the name of the instrument in the board's settings if the rig itself has none, so that
+    recordings and models carry it."""
+    on_board: str = board.ask("get_settings", axis=axis).instrument
+    return replace(rig, actuator=replace(rig.actuator, instrument=rig.actuator.instrument or on_board or None))
 
 
-def _camera(source: str | int, size: tuple[int, int] | None, rate_hz: float | None) -> FrameSource:
+def _open_camera(source: str | int, size: tuple[int, int] | None, rate_hz: float | None) -> FrameSource:
     """Opens a camera: a ROS topic (ros:TOPIC), or a device, stream or file as VideoCamera takes it, with its exposure
-    locked. size (width, height) and rate are asked of a device."""
+    locked. size (width, height), px, and rate are asked of a device."""
     if is_topic(source):
         return RosCamera(str(source))
     camera = VideoCamera(source, size=size, rate_hz=rate_hz)
@@ -478,7 +482,7 @@ def open_live(
     """
     with ExitStack() as stack:
         if simulate is not None:
-            live = _simulated(stack, of_name(simulate, rig, seed), axis, at or 0.0, pictures, seed)
+            live = _start_simulation(stack, of_name(simulate, rig, seed), axis, at or 0.0, pictures, seed)
         elif rig is None:
             raise TautError("no rig: name the set-up's file with --rig")
         else:
@@ -498,10 +502,12 @@ def open_live(
         yield live
 
 
-def _simulated(stack: ExitStack, instrument: Instrument, axis: int, at: float, pictures: bool, seed: int) -> Live:
+def _start_simulation(
+    stack: ExitStack, instrument: Instrument, axis: int, at: float, pictures: bool, seed: int
+) -> Live:
     """Starts a desktop board, which the stack closes, with a simulated instrument on its axis, the motor at `at`, the
-    rig's unit; the axis is commissioned, checked and referenced, as a user does with a real one. pictures: the
-    endoscope's pictures are drawn, if the instrument can be; else there is only the marker's projection."""
+    rig's unit; the axis is commissioned, checked and referenced, as a user does with a real one. pictures: whether the
+    endoscope's pictures are drawn, if the instrument can be drawn; else frames have only the marker's projection."""
     rig = instrument.rig
     desktop = stack.enter_context(DesktopBoard(axes=axis + 1))
     board = stack.enter_context(open_board(desktop.where))
@@ -519,7 +525,7 @@ def _simulated(stack: ExitStack, instrument: Instrument, axis: int, at: float, p
     if pictures and instrument.drawn and rig.has_camera:
         endoscope = Endoscope(rig, seed=seed)
         middle = 0.5 * sum(coarse_range_deg(rig))
-        spot = project(rig, middle)[0]
+        spot = project(rig, middle)[0]  # where the marker is at mid-range: its colour is picked there
         seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(spot[0]), float(spot[1])))
         source = LockstepSource(plant, SimulatedCamera(endoscope, plant.scene), MarkerTracker(seen_as))
     elif rig.has_camera:
@@ -534,4 +540,4 @@ def _open_camera_source(board: Board, camera: str | int, rig: Rig, colour: Marke
     size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
     rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
     tracker = None if colour is None else MarkerTracker(colour)
-    return CameraSource(board, _camera(source, size, rate_hz), tracker, size)
+    return CameraSource(board, _open_camera(source, size, rate_hz), tracker, size)

@@ -19,8 +19,8 @@ from tautline.live.rounds import (
     first_round,
     in_words,
     next_round,
-    no_longer,
-    slower_tells,
+    no_longer_reached,
+    slower_pass_tells,
     strokes_made,
     why_another,
     why_not,
@@ -29,9 +29,9 @@ from tautline.live.session import Motion, Motions, check_rig, moving, probe
 from tautline.live.setup import Frame, Live
 from tautline.live.watch import Show, View, Watch
 
-AT_MOST_S = 120.0
+AT_MOST_S = 120.0  # that a calibration takes, unless the user says otherwise
 _LOST_S = 3.0  # a marker that was not seen for so long does not come back by itself
-_FINEST = 0.02  # of a count
+_FINEST = 0.02  # of a count: a finer goal is refused
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Reached:
     rounds: tuple[Round | Strokes, ...]  # that were made
     standing: Standing  # in the end
     until: float  # the goal for sigma of B, unit of q
-    why: str  # the goal was not reached, empty where it was
+    why: str  # why the goal was not reached, empty where it was
 
     @property
     def reached(self) -> bool:
@@ -93,12 +93,12 @@ def calibrate_until(
         with closing(Watch(live, motions.recorder, view, options, shown)) as watch:
             shown(view)
 
-            def seen(frame: Frame) -> None:
-                """Records and shows a frame of the probe, before any reversal is counted."""
+            def on_probe_frame(frame: Frame) -> None:
+                """Records and shows a frame of the probe, in which no reversal is counted."""
                 motions.recorder.add(frame)
                 watch.frame(frame, 0)
 
-            probe(live, seen, means.speeds[0])
+            probe(live, on_probe_frame, means.speeds[0])
             if resting():
                 watch.rest(resting)
             rounds, why = _make_rounds(motions, watch, means, until, goal.at_most_s, resting)
@@ -108,20 +108,21 @@ def calibrate_until(
 
 
 def _checked_until(live: Live, goal: Goal) -> float:
-    """The sigma of B that is aimed at, unit of q: the goal's, else what suits the rig. TautError where it is finer than
-    the encoder can tell."""
-    unit, usual = live.rig.actuator.unit, default_until(live.rig.actuator)
-    until = usual if goal.until is None else goal.until
+    """Returns the sigma of B to aim at, unit of q: the goal's, else what suits the rig. TautError where it is finer
+    than _FINEST of an encoder count."""
+    unit, default = live.rig.actuator.unit, default_until(live.rig.actuator)
+    until = default if goal.until is None else goal.until
     if until < _FINEST * live.resolution:
         raise TautError(
             f"{in_words(until, unit)} is far below the encoder's count of {live.resolution:g} {unit}: name the goal "
-            f"with its unit, as in --until '{in_words(usual, unit)}'"
+            f"with its unit, as in --until '{in_words(default, unit)}'"
         )
     return until
 
 
 def _means(live: Live, goal: Goal) -> Means:
-    """What rounds are planned with: the range, the frame rate, the motor's limits, and the goal's speeds."""
+    """Returns what rounds are planned with: the range, the camera's frame rate, the motor's limits and the goal's
+    speeds."""
     camera = live.rig.camera
     assert camera is not None  # check_rig
     limits = live.board.ask("get_limits", axis=live.axis)
@@ -138,7 +139,7 @@ class _MarkerLoss:
         self._since_s: float | None = None  # None where the marker is seen
 
     def check(self, frame: Frame, now_s: float) -> None:
-        """Takes in the next frame at now_s. TautError where the marker has been lost for more than _LOST_S."""
+        """Takes in the next frame at now_s, s. TautError where the marker has not been seen for more than _LOST_S."""
         if frame.sighting.valid:
             self._since_s = None
         elif self._since_s is None:
@@ -180,14 +181,15 @@ def _make_rounds(
         rounds.append(wanted)
         view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}{because}"
         _make_round(motions, watch, wanted, enough, resting)
-        motions.still()
+        motions.record_rest()
         watch.settle()
         assert view.standing is not None
         if view.standing.reached(until) and strokes_made(rounds):
             return rounds, ""
         why = why_not(view.standing, until, view.unit, watch.camera_view(), view.seconds, at_most_s, len(rounds))
-        if why and not (view.seconds < at_most_s and slower_tells(means, view.standing, until, rounds)):
-            return rounds, why + no_longer(best, view.standing, until, view.unit)
+        # While there is time, a slower pass that tells something is made before giving up.
+        if why and not (view.seconds < at_most_s and slower_pass_tells(means, view.standing, until, rounds)):
+            return rounds, why + no_longer_reached(best, view.standing, until, view.unit)
 
 
 def _make_round(
@@ -198,11 +200,13 @@ def _make_round(
     resting: Callable[[], bool],
 ) -> None:
     """Makes one round, until it is complete or `enough(frame)`, which gets every frame, is true. Where `resting()`
-    becomes true the round is broken off and, after the rest, made again from its beginning."""
+    becomes true the round is broken off, the axis rests as long as it stays true, and the round is made again from its
+    beginning."""
     broken_off = False
 
     def enough_or_rest(frame: Frame) -> bool:
-        """Whether the round may end after this frame; notes a rest, which may be over before the stroke is."""
+        """Returns whether the round may end after this frame; sets `broken_off` where a rest was asked for, as that may
+        be over before the stroke is."""
         nonlocal broken_off
         ends = enough(frame)
         broken_off = resting() or broken_off

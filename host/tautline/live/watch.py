@@ -51,32 +51,32 @@ class View:
 
     @property
     def coverage(self) -> float:
-        """Share of the range that was seen both ways."""
+        """Share of the range, 0 to 1, in which the marker was seen both on the way up and on the way down."""
         return float(np.mean((self.rising[:, 0] > 0) & (self.falling[:, 0] > 0)))
 
     @property
     def share(self) -> float:
-        """Progress, 0 to 1: the mean of coverage and of the way to the goal's sigma."""
-        near = self.standing.share(self.until) if self.standing is not None and self.until is not None else 0.0
-        return 0.5 * (self.coverage + near)
+        """Progress, 0 to 1: the mean of `coverage` and of the progress towards the goal's sigma."""
+        to_goal = self.standing.share(self.until) if self.standing is not None and self.until is not None else 0.0
+        return 0.5 * (self.coverage + to_goal)
 
     @property
     def unseen(self) -> tuple[float, float]:
-        """From the first to the last of the BINS in which the marker was mostly lost, the rig's unit; (0, 0) where
-        there is none."""
+        """The positions, the rig's unit, from the first to the last of the BINS in which the marker was mostly lost;
+        (0, 0) where there are none."""
         seen, lost = (self.rising + self.falling).T
-        bad = np.flatnonzero(lost > seen)
-        if not len(bad):
+        lost_bins = np.flatnonzero(lost > seen)
+        if not len(lost_bins):
             return 0.0, 0.0
         width = (self.high - self.low) / BINS
-        return self.low + float(bad[0]) * width, self.low + float(bad[-1] + 1) * width
+        return self.low + float(lost_bins[0]) * width, self.low + float(lost_bins[-1] + 1) * width
 
 
 Show = Callable[[View], None]
 
 
 def in_short(view: View) -> tuple[str, str]:
-    """Two lines for terminal and page: what was recorded so far, and how well B(q) is known by it."""
+    """Returns two lines for terminal and page: what was recorded so far, and how well B(q) is known by it."""
     seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
     if view.calibration is None:
         return seen, "too early to tell B(q)"
@@ -96,7 +96,7 @@ class Watched(Protocol):
 
     @property
     def rig(self) -> Rig:
-        """Of the set-up or the recording."""
+        """The rig of the set-up or of the recording."""
 
     @property
     def virtual(self) -> bool:
@@ -118,7 +118,7 @@ class Kept(Protocol):
     def motor_at(self, t_s: float) -> float:
         """The motor's position, the rig's unit, at a time, s; NaN before the first sample."""
 
-    def so_far(self) -> Recording:
+    def recording_so_far(self) -> Recording:
         """The recording so far. TautError where there is nothing yet."""
 
     def paused(self) -> AbstractContextManager[None]:
@@ -153,15 +153,16 @@ class Watch:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     def frame(self, frame: Frame, reversals: int) -> bool:
-        """Takes in a frame, and starts a calibration of what was recorded so far if one is due. reversals: so far.
-        Returns whether a calibration has been finished since the last frame; the view then has it."""
+        """Takes in a frame, and starts a calibration of what was recorded so far if one is due; `show` gets the view
+        afterwards. reversals: how many were made so far. Returns whether a calibration has been finished since the last
+        frame; the view then has it."""
         view = self.view
         view.seconds = (frame.t_us - self._began_us) * 1e-6
         view.frames += 1
         view.lost += not frame.sighting.valid
         view.reversals = reversals
         view.frame = frame
-        self._cover(frame)
+        self._count_positions(frame)
         fresh = self._take_calibration()
         if self._fit is None and view.seconds >= self._due_s:
             self._due_s = view.seconds + max(_FIRST_FIT_S, _BETWEEN_FITS * view.seconds)
@@ -172,18 +173,19 @@ class Watch:
         return fresh
 
     def settle(self) -> None:
-        """Calibrates everything that was recorded, once more, and waits for it, recording frames meanwhile. TautError
-        where nothing can be measured in it."""
+        """Calibrates everything that was recorded once more and waits for the result, recording frames meanwhile.
+        TautError where nothing can be measured in it."""
         while not self._take_calibration() and self._fit is not None:  # an earlier one
-            self._idle()
+            self._record_frame_meanwhile()
         self._fit = self._start_calibration(naming=True)
         while not self._take_calibration(strict=True):
-            self._idle()
+            self._record_frame_meanwhile()
         if self._show is not None:
             self._show(self.view)
 
     def rest(self, resting: Callable[[], bool]) -> None:
-        """Shows frames while `resting()` is true, without recording them or counting the time."""
+        """Shows frames while `resting()` is true. They are not recorded, and their time does not count as time of
+        recording."""
         began_us, doing = self._live.now_us(), self.view.doing
         self.view.doing = "at rest"
         with self._recorder.paused():
@@ -195,25 +197,25 @@ class Watch:
         self.view.doing = doing
 
     def camera_view(self) -> CameraView:
-        """How well the camera has seen the marker so far: its noise from frame to frame at rest, px, NaN where it never
-        rested, and where it was lost."""
+        """Returns how well the camera has seen the marker so far: its noise, px, from frame to frame at rest (NaN where
+        it never rested), and the positions where it was lost."""
         steps = np.abs(self._steps)
         # A step has the noise of two frames.
         noise = spread.deviation(steps) / float(np.sqrt(2.0)) if steps.size else float("nan")
         return CameraView(noise, self.view.unseen)
 
-    def _idle(self) -> None:
-        """Records one frame while waiting, so that none is stale afterwards."""
+    def _record_frame_meanwhile(self) -> None:
+        """Records one frame during a wait, so that none is stale afterwards."""
         self._recorder.add(self._live.look())
 
     def _start_calibration(self, naming: bool = False) -> Future[tuple[Calibration, float]]:
-        """Starts the calibration of what was recorded so far: in the thread, or in virtual time at once. The result is
-        the calibration and the seconds of recording that it is of. naming: also names what departs from the model,
-        which takes longer."""
-        recording, seconds = self._recorder.so_far(), self.view.seconds
+        """Starts the calibration of what was recorded so far: in the thread, or in virtual time at once. Returns its
+        future, whose result is the calibration and the seconds of recording that it is made of. naming: whether it also
+        names what departs from the model, which takes longer."""
+        recording, seconds = self._recorder.recording_so_far(), self.view.seconds
 
         def work() -> tuple[Calibration, float]:
-            """Calibrates."""
+            """Calibrates the recording; returns the calibration and the seconds of recording that it is of."""
             return calibrate([recording], self._live.rig, self._options, naming=naming), seconds
 
         if self._pool is not None:
@@ -226,7 +228,7 @@ class Watch:
         return done
 
     def _take_calibration(self, strict: bool = False) -> bool:
-        """Takes a finished calibration, if there is one, into the view; returns whether it did. One that failed, as too
+        """Puts a finished calibration, if there is one, into the view; returns whether it did. One that failed, as too
         little was recorded yet, counts as none; with `strict` its TautError is raised."""
         if self._fit is None or not self._fit.done():
             return False
@@ -240,16 +242,17 @@ class Watch:
             return True
         return False
 
-    def _cover(self, frame: Frame) -> None:
-        """Counts the BINS of the range that the motor passed between the last frame's scene and this one's as seen or
-        lost, by direction. At rest, keeps how far the marker moved between both, for `camera_view`."""
+    def _count_positions(self, frame: Frame) -> None:
+        """Counts the BINS of the range that the motor passed between the scenes of the last frame and of this one as
+        seen or lost, by direction. If the motor rests, keeps how far the marker moved between both, for `camera_view`.
+        Sets the view's q; does nothing else where one of both positions is not known."""
         view = self.view
         q = self._recorder.motor_at(frame.t_us * 1e-6 - self._live.rig.delay_s)
         before, self._last_q, view.q = self._last_q, q, q
-        place = np.array([before, q] if before < q else [q, before])
-        if not np.isfinite(place).all():
+        passed = np.array([before, q] if before < q else [q, before])
+        if not np.isfinite(passed).all():
             return
-        first, last = (place - view.low) / (view.high - view.low) * BINS  # beyond the range too
+        first, last = (passed - view.low) / (view.high - view.low) * BINS  # beyond the range too
         seen = frame.sighting
         rested, self._rested = self._rested, None
         if last - first < _STILL:
@@ -258,5 +261,5 @@ class Watch:
                 self._steps.append((self._rested[0] - rested[0], self._rested[1] - rested[1]))
             return
         bins = slice(*np.clip(np.floor([first, last + 1.0]), 0, BINS).astype(int))
-        way = view.rising if q > before else view.falling
-        way[bins, int(not seen.valid)] += 1
+        counts = view.rising if q > before else view.falling
+        counts[bins, int(not seen.valid)] += 1

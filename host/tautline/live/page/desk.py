@@ -62,7 +62,7 @@ class Desk:
         self._picture: Any = None
         ranges = {"range": list(rig.actuator.range), "c_range": list(coarse_range_deg(rig))}
         self.events.publish("about", about | ranges | {"unit": rig.actuator.unit})
-        self._tell()
+        self._publish_state()
 
     @cached_property
     def _bending(self) -> shown.Bending:
@@ -78,7 +78,7 @@ class Desk:
                 self._set_state(RUNNING)
 
     def rest(self) -> None:
-        """Rest was pressed: asks for a rest, if what runs can go on after one."""
+        """Rest was pressed: asks for a rest, if what runs can rest and go on afterwards."""
         with self._changed:
             if self._state == RUNNING and self._rests:
                 self._set_state(RESTING)
@@ -101,9 +101,9 @@ class Desk:
             if self._state == READY:
                 self._picked = (u_px, v_px)
 
-    def here(self) -> None:
-        """Notes that a page is open. Pages say so again and again; one that sleeps, or has lost its connection, does
-        not, and counts as closed after a while."""
+    def note_open_page(self) -> None:
+        """Notes that a page is open. Open pages say so again and again; a page that sleeps, or has lost its connection,
+        does not, and counts as closed after unwatched_s."""
         with self._changed:
             self._heard_s = time.monotonic()
 
@@ -123,16 +123,16 @@ class Desk:
 
     @property
     def begun(self) -> bool:
-        """Whether something runs, or was asked for and begins now."""
+        """Whether something runs, or was asked for and is about to begin."""
         return self._state != READY
 
     @contextmanager
     def running(self, let_go: Callable[[], None]) -> Iterator[None]:
-        """A context within which what was started runs; afterwards the state is READY. let_go: brings the board to
-        rest; `stop` calls it from another thread."""
+        """A context within which what was started runs; the pages' calibration is cleared before, and the state is
+        READY afterwards. let_go: brings the board to rest; `stop` calls it from another thread."""
         with self._changed:
             self._let_go, self._calibration, self._shown_s = let_go, None, float("-inf")
-        self.events.publish("fit", None)  # what was found before is not of this
+        self.events.publish("fit", None)  # of an earlier run
         try:
             yield
         finally:
@@ -147,8 +147,9 @@ class Desk:
             return self._nearby == 0 and time.monotonic() - self._heard_s > self._unwatched_s
 
     def resting(self) -> bool:
-        """Whether the axis shall stand still, as a rest was asked for, or no page is open on which somebody could press
-        Stop. False at once; True after a wait of at most _REST_S, so that it can be asked in a loop."""
+        """Returns whether the axis shall stand still: a rest was asked for, or no page is open on which somebody could
+        press Stop, which then becomes a rest. Returns False at once, True after a wait of at most _REST_S, so that it
+        can be asked in a loop."""
         with self._changed:
             if self.unwatched and self._state == RUNNING:
                 self._set_state(RESTING, "no page is open: it rests until Start")
@@ -157,8 +158,8 @@ class Desk:
             self._changed.wait(_REST_S)
             return True
 
-    def picked(self) -> tuple[float, float] | None:
-        """The place (u, v), px, that was clicked since the last call; None where there was none."""
+    def take_pick(self) -> tuple[float, float] | None:
+        """Returns, once, the place (u, v), px, that was clicked since the last call; None where there was none."""
         with self._changed:
             place, self._picked = self._picked, None
             return place
@@ -167,7 +168,7 @@ class Desk:
         """Shows a text on the page, a result or an error, until another replaces it."""
         with self._changed:
             self._says = text
-            self._tell()
+            self._publish_state()
 
     def show(self, view: View) -> None:
         """Publishes what a live calibration knows: the frame, every _PROGRESS_S the progress, and a calibration when it
@@ -184,8 +185,8 @@ class Desk:
             self.events.publish("fit", shown.calibration_document(view.calibration, view.calibrated_s))
         self.check_stop()
 
-    def doing(self, share: float, text: str) -> None:
-        """Publishes what is being done, in words, and which share of it is done, 0 to 1. Raises Stopped if stop was
+    def show_doing(self, share: float, text: str) -> None:
+        """Publishes what is being done, in words, and the share of it that is done, 0 to 1. Raises Stopped if stop was
         pressed."""
         self.events.publish("doing", {"doing": text, "share": share})
         self.check_stop()
@@ -222,8 +223,8 @@ class Desk:
         self._changed.notify_all()
         if state in (RUNNING, RESTING):
             self._says = says
-        self._tell()
+        self._publish_state()
 
-    def _tell(self) -> None:
-        """Publishes the state and the text beside it."""
+    def _publish_state(self) -> None:
+        """Publishes the state and the text that the page shows with it."""
         self.events.publish("state", {"state": self._state, "says": self._says})

@@ -56,8 +56,8 @@ class Played:
         return float(self._t_s[max(self._at, 0)] - self._t_s[0])
 
     def play(self, picture: Callable[[float], Array | None]) -> Frame:
-        """Advances to the next frame and returns it. picture: gives the BGR picture for an arrival time of marker.csv,
-        s, or None."""
+        """Advances to the next frame and returns it. picture: returns the BGR picture for an arrival time of
+        marker.csv, s, or None."""
         self._at += 1
         k, marker = self._at, self._marker
         seen = Sighting(np.nan, np.nan, np.nan, np.nan, "the marker was not found")
@@ -88,8 +88,9 @@ class Played:
         motor = self._whole.motor
         return float(np.interp(t_s, motor.t_s, motor.q, left=np.nan))
 
-    def so_far(self) -> Recording:
-        """The part of the recording up to the frame played last, with at least one sample of the motor."""
+    def recording_so_far(self) -> Recording:
+        """Returns the part of the recording up to the frame played last, with at least one sample of the motor; the
+        whole recording once all frames were played."""
         if self._at + 1 >= self.frames:
             return self._whole
         now_s, motor = self._t_s[self._at], self._whole.motor
@@ -102,8 +103,8 @@ class Played:
 
 
 def _rows_of(series: Series, rows: Array) -> Series:
-    """A series (motor, marker or angle) cut to some rows, by a mask (n,): every column that is an array, also those in
-    mappings."""
+    """Returns a series (motor, marker or angle) cut to the rows of a mask (n,): every column that is an array, also
+    those in mappings."""
     kept = {}
     for field in fields(series):
         value = getattr(series, field.name)
@@ -125,13 +126,13 @@ class _Film:
         self._coming = self._read()
 
     def at(self, t_s: float) -> Array | None:
-        """The last picture that had arrived at t_s, BGR; None before the first. t_s must not go back."""
+        """Returns the last picture that had arrived at t_s, BGR; None before the first. t_s must not decrease."""
         while self._coming is not None and self._coming[1] <= t_s + _SAME_S:
             self._shown, self._coming = self._coming[0], self._read()
         return self._shown
 
     def _read(self) -> tuple[Array, float] | None:
-        """The next frame that has a time, BGR, and that time, s; None at the video's end."""
+        """Reads the next frame that has a time: returns the picture, BGR, and that time, s; None at the video's end."""
         while (read := self._video.read()) is not None:
             if self._arrival_s is None:
                 return read
@@ -143,8 +144,8 @@ class _Film:
 
 @contextmanager
 def _pictures(recording: Recording) -> Iterator[Callable[[float], Array | None]]:
-    """A context with a function from arrival time, s, to BGR picture: from the recording's video, else always the one
-    picture that was kept, else None."""
+    """A context that yields a function from arrival time, s, to BGR picture: the recording's video, or always the one
+    picture that was kept, or None where there is neither."""
     if recording.video is None:
         still = None if recording.picture is None else cv2.imread(str(recording.picture), cv2.IMREAD_COLOR)
         yield lambda t_s: still

@@ -112,9 +112,9 @@ class _Handler(BaseHTTPRequestHandler):
             return
         desk = self.server.desk
         orders: dict[str, Callable[[], None]] = {
-            "start": desk.start, "rest": desk.rest, "stop": desk.stop, "here": desk.here,
+            "start": desk.start, "rest": desk.rest, "stop": desk.stop, "here": desk.note_open_page,
         }  # fmt: skip
-        desk.here()
+        desk.note_open_page()
         sent = self._json_body()
         if sent is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
@@ -128,8 +128,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.BAD_REQUEST if name == "pick" else HTTPStatus.NOT_FOUND)
 
     def _authorised_path(self) -> str | None:
-        """The request's path behind the token. None, after refusing it, without the token, or if the request was for
-        another host name than this machine's (against DNS rebinding)."""
+        """Returns the part of the request's path after the token. None, after refusing the request, where the token is
+        wrong, or the request was for another host name than this machine's (against DNS rebinding)."""
         _, _, behind = self.path.partition("?")[0].partition("/")
         token, slash, name = behind.partition("/")
         if not hmac.compare_digest(token.encode(), self.server.token.encode()) or not slash:
@@ -146,9 +146,9 @@ class _Handler(BaseHTTPRequestHandler):
         return name
 
     def _json_body(self) -> dict[str, Any] | None:
-        """Reads the JSON object in a request's body, {} without a body; None for anything else, or a body that is too
-        long."""
-        length = _whole(self.headers.get("Content-Length", "0"))
+        """Reads the JSON object in a request's body, {} where there is no body; None for anything else, or a body of
+        more than _MOST_BYTES."""
+        length = _parse_count(self.headers.get("Content-Length", "0"))
         if length is None or length > _MOST_BYTES:
             return None
         try:
@@ -161,22 +161,23 @@ class _Handler(BaseHTTPRequestHandler):
         """Sends server-sent events as long as the page is there: the latest of each topic, then what is new. Every
         _ALIVE_S it sends `alive`, which the page answers by `here`, as a write to a page that sleeps fails only minutes
         later."""
-        self._head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Connection": "close"})
+        self._send_head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Connection": "close"})
         self.close_connection = True
         events, at, due_s = self.server.desk.events, 0, 0.0
-        self.server.desk.here()
+        self.server.desk.note_open_page()
         with suppress(OSError):
             while not events.closed:
                 at, fresh = events.newer(at, max(due_s - time.monotonic(), 0.0))
-                text = "".join(map(_event, fresh, fresh.values()))
+                text = "".join(map(_event_text, fresh, fresh.values()))
                 if time.monotonic() >= due_s:
-                    text, due_s = text + _event("alive", {}), time.monotonic() + _ALIVE_S
+                    text, due_s = text + _event_text("alive", {}), time.monotonic() + _ALIVE_S
                 self.wfile.write(text.encode())
 
     def _send_picture(self) -> None:
         """Sends, as JPEG, the latest picture that is newer than the one which the page has (?after=NUMBER), waiting for
-        it up to _PICTURE_S. A slow page so gets fewer pictures."""
-        after = _whole(parse_qs(self.path.partition("?")[2]).get("after", ["0"])[0])
+        it up to _PICTURE_S; without one it answers 204, to a malformed number 400. A slow page so gets fewer
+        pictures."""
+        after = _parse_count(parse_qs(self.path.partition("?")[2]).get("after", ["0"])[0])
         if after is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
             return
@@ -193,7 +194,7 @@ class _Handler(BaseHTTPRequestHandler):
         self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, headers: dict[str, str] | None = None
     ) -> None:
         """Sends a whole answer. kind: its content type."""
-        self._head(status, {"Content-Type": kind, "Content-Length": str(len(body)), **(headers or {})})
+        self._send_head(status, {"Content-Type": kind, "Content-Length": str(len(body)), **(headers or {})})
         self.wfile.write(body)
 
     def _refuse(self, status: HTTPStatus) -> None:
@@ -201,7 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True
         self._answer(b"", "text/plain", status, {"Connection": "close"})
 
-    def _head(self, status: HTTPStatus, headers: dict[str, str]) -> None:
+    def _send_head(self, status: HTTPStatus, headers: dict[str, str]) -> None:
         """Sends an answer's status and headers, with those that every answer has (_HEADERS)."""
         self.send_response_only(status)
         for key, value in {**_HEADERS, **headers}.items():
@@ -209,11 +210,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
 
-def _whole(text: str) -> int | None:
-    """The number in a text of 1 to 9 decimal digits, None for anything else."""
+def _parse_count(text: str) -> int | None:
+    """Returns the number in a text of 1 to 9 decimal digits, None for any other text."""
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else None
 
 
-def _event(topic: str, what: Any) -> str:
-    """The text of a server-sent event of this topic with `what`, as JSON, as its data."""
+def _event_text(topic: str, what: Any) -> str:
+    """Returns the text of a server-sent event of this topic whose data are `what`, as JSON."""
     return f"event: {topic}\ndata: {json.dumps(what, allow_nan=False)}\n\n"

@@ -24,28 +24,30 @@ _ANGLES = 481  # of the rig's curve: to 0.002 px of its bows
 
 
 class Bending:
-    """Finds the bending angle in a frame quickly, from a table of the rig's curve in the image. `pose`, which fits it,
-    takes some 3 ms of the 40 ms between two frames, which the tracker needs."""
+    """Finds the bending angle in a frame quickly, from a table of the rig's curve in the image. `pose`, which fits the
+    angle, takes some 3 ms of the 40 ms between two frames, and the tracker needs these."""
 
     def __init__(self, rig: Rig) -> None:
-        """Tabulates the rig's curve in the image, and a quarter of its range beyond either end."""
+        """Tabulates the curve that the rig's marker follows in the image: over the range of f_coarse and a quarter of
+        it beyond either end."""
         low, high = coarse_range_deg(rig)
         margin = 0.25 * (high - low)
         self._c_deg = np.linspace(low - margin, high + margin, _ANGLES)
-        self._place = project(rig, self._c_deg)
-        self._way = np.diff(self._place, axis=0)
-        self._square = np.sum(self._way**2, axis=1)
+        self._points = project(rig, self._c_deg)
+        self._segments = np.diff(self._points, axis=0)
+        self._squared_lengths = np.sum(self._segments**2, axis=1)
 
     def of(self, frame: Frame) -> float | None:
-        """The bending angle, deg, of the point on the tabulated curve that is nearest to the marker; None where the
-        marker is lost."""
+        """Returns the bending angle, deg, of the point on the tabulated curve that is nearest to the marker; None where
+        the marker is lost."""
         if not frame.sighting.valid:
             return None
-        away = (frame.sighting.u_px, frame.sighting.v_px) - self._place[:-1]
-        share = np.clip(np.sum(away * self._way, axis=1) / self._square, 0.0, 1.0)
-        left = away - share[:, None] * self._way
-        k = int(np.argmin(np.sum(left * left, axis=1)))
-        return _finite(float(self._c_deg[k] + share[k] * (self._c_deg[k + 1] - self._c_deg[k])))
+        from_start = (frame.sighting.u_px, frame.sighting.v_px) - self._points[:-1]
+        # The nearest point of each segment, as a share of its length; then the segment whose point is nearest.
+        share = np.clip(np.sum(from_start * self._segments, axis=1) / self._squared_lengths, 0.0, 1.0)
+        distance = from_start - share[:, None] * self._segments
+        k = int(np.argmin(np.sum(distance * distance, axis=1)))
+        return _json_number(float(self._c_deg[k] + share[k] * (self._c_deg[k + 1] - self._c_deg[k])))
 
 
 def frame_document(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
@@ -54,11 +56,11 @@ def frame_document(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any
     seen = frame.sighting
     return {
         "t_s": frame.t_us * 1e-6,
-        "q": _finite(q),
+        "q": _json_number(q),
         "c_deg": c_deg,
-        "u_px": _finite(seen.u_px),
-        "v_px": _finite(seen.v_px),
-        "diameter_px": _finite(seen.diameter_px),
+        "u_px": _json_number(seen.u_px),
+        "v_px": _json_number(seen.v_px),
+        "diameter_px": _json_number(seen.diameter_px),
         "lost": seen.lost,
     }
 
@@ -73,7 +75,7 @@ def progress_document(view: View) -> dict[str, Any]:
         "share": view.share,
         "rising": view.rising.tolist(),
         "falling": view.falling.tolist(),
-        "missing": missing(view),
+        "missing": missing_in_words(view),
         "onsets": [
             {"q": 0.5 * (o["q1"] + o["q2"]), "width": o["width"], "direction": o["direction"], "used": o["used"]}
             for o in view.onsets
@@ -81,8 +83,9 @@ def progress_document(view: View) -> dict[str, Any]:
     }
 
 
-def missing(view: View) -> list[str]:
-    """What is missing for the goal of a live calibration, in sentences."""
+def missing_in_words(view: View) -> list[str]:
+    """Says in sentences, one for each thing, what is missing for the goal of a live calibration; [] where nothing
+    is."""
     unit, standing = view.unit, view.standing
     said = []
     if view.coverage < 1.0:
@@ -110,7 +113,13 @@ def calibration_document(calibration: Calibration, seconds: float | None) -> dic
     return backlash_document(calibration.model) | {
         "seconds": seconds,
         "onsets": [
-            {"q": o.q_mean, "width": o.width, "sigma": _finite(o.sigma), "direction": o.direction, "used": o.used}
+            {
+                "q": o.q_mean,
+                "width": o.width,
+                "sigma": _json_number(o.sigma),
+                "direction": o.direction,
+                "used": o.used,
+            }
             for o in calibration.onsets
             if np.isfinite(o.width)
         ],
@@ -125,8 +134,8 @@ def backlash_document(model: Model) -> dict[str, Any]:
     return {
         "seconds": None,
         "q": q.tolist(),
-        "width": _each(np.interp(q, model.q, model.width)),
-        "sigma": _each(np.interp(q, model.q, model.width_sigma)),
+        "width": _json_numbers(np.interp(q, model.q, model.width)),
+        "sigma": _json_numbers(np.interp(q, model.q, model.width_sigma)),
         "measured": [low, high],
         "delay_ms": 1e3 * model.delay_s,
         "onsets": [],
@@ -139,9 +148,9 @@ def backlash_document(model: Model) -> dict[str, Any]:
 
 
 def diagnosis_document(document: Mapping[str, Any], answers: Sequence[Leading], why: str) -> dict[str, Any]:
-    """A live diagnosis so far as a JSON document: its answers, what led after each recording, what the next motion is
-    for, and why there is none. document: the content of diagnosis.json; answers: what led, by recording; why: why the
-    diagnosis ends, "" if it goes on."""
+    """A live diagnosis so far as a JSON document: its probable answers, the likeliest one after each recording, and
+    what the next motion is for, or why there is none. document: the content of diagnosis.json; answers: the likeliest
+    ones, by recording; why: why the diagnosis ends, "" if it goes on."""
     following = document["next_motion"]
     probable = sorted(answers_of(document).items(), key=lambda item: -item[1])
     return {
@@ -156,15 +165,17 @@ def diagnosis_document(document: Mapping[str, Any], answers: Sequence[Leading], 
 def row_document(row: Row, t_s: float) -> dict[str, Any]:
     """A tracker's row at time t_s, s, as a JSON document: the state and its reason, the offset (the rig's unit) and the
     scale of B, with their sigmas."""
-    numbers = {name: _finite(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")}
+    numbers = {
+        name: _json_number(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")
+    }
     return {"t_s": t_s, "state": row.state.value, "reason": row.reason} | numbers
 
 
-def _each(values: np.ndarray) -> list[float | None]:
-    """Numbers for JSON; None for those that are not finite."""
-    return [_finite(float(value)) for value in values]
+def _json_numbers(values: np.ndarray) -> list[float | None]:
+    """Returns the numbers as a list for JSON, with None in place of NaN and inf."""
+    return [_json_number(float(value)) for value in values]
 
 
-def _finite(value: float) -> float | None:
-    """The number, None in place of NaN and inf, which JSON has not."""
+def _json_number(value: float) -> float | None:
+    """Returns the number, None in place of NaN and inf, which JSON does not have."""
     return value if np.isfinite(value) else None

@@ -25,9 +25,9 @@ class Stream:
             self._changed.notify_all()
 
     def newer(self, after: int, timeout_s: float) -> tuple[int, dict[str, Any]]:
-        """Waits until something is newer than number `after` (0: from the beginning). Returns the newest number, and
-        the latest of each topic that was published since, by topic, oldest first; empty when the time is up or the
-        stream is closed."""
+        """Waits until something is newer than number `after` (0: from the beginning). Returns the newest number, and by
+        topic the latest document of each that was published since, oldest first; `after` and no documents when
+        timeout_s is over or the stream is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._count > after or self._closed, timeout_s)
             fresh = sorted((number, topic, what) for topic, (number, what) in self._latest.items() if number > after)

@@ -56,7 +56,7 @@ class Work(Protocol):
 
 @dataclass
 class _OnSetUp:
-    """What every work on a live set-up does alike."""
+    """What every work on a live set-up has in common."""
 
     live: Live
 
@@ -97,7 +97,7 @@ class Calibrating(_OnSetUp):
 
     def idle(self, desk: Desk) -> None:
         """Shows a frame; where the picture was clicked, picks the marker's colour there."""
-        if (place := desk.picked()) is not None:
+        if (place := desk.take_pick()) is not None:
             self._pick(desk, place)
         super().idle(desk)
 
@@ -157,8 +157,9 @@ class Watching(_OnSetUp):
             """Publishes a row of the tracker."""
             desk.events.publish("holds", shown.row_document(row, t_s))
 
-        def seen(frame: Frame, q: float) -> None:
-            """Publishes a frame; Stopped where stop was pressed, or nobody watches a motion."""
+        def on_frame(frame: Frame, q: float) -> None:
+            """Publishes a frame. Raises Stopped where stop was pressed, or the motor follows a motion and no page is
+            open."""
             desk.show_frame(frame, q)
             desk.check_stop()
             if self.motion != "none" and desk.unwatched:
@@ -166,7 +167,7 @@ class Watching(_OnSetUp):
 
         result = watch(
             self.live, self.model, self.motion, speed=self.speed, duration_s=self.duration_s, seed=self.seed,
-            on_row=show_row, shown=seen,
+            on_row=show_row, shown=on_frame,
         )  # fmt: skip
         return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
 
@@ -195,16 +196,16 @@ class Diagnosing(_OnSetUp):
         desk.events.publish("fit", shown.calibration_document(self.calibration, None))
         desk.events.publish("diagnosis", None)
 
-        def seen(frame: Frame) -> None:
-            """Publishes a frame; Stopped where stop was pressed, or nobody watches."""
+        def on_frame(frame: Frame) -> None:
+            """Publishes a frame. Raises Stopped where stop was pressed, or no page is open."""
             desk.show_frame(frame, self.live.motor_position())
             desk.check_stop()
             if desk.unwatched:
                 raise Stopped
 
-        def answered(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
-            """Publishes a diagnosis and what leads now. why: why the diagnosis ends, "" while another motion follows:
-            then waits until a page is open; Stopped where stop was pressed meanwhile."""
+        def on_answer(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
+            """Publishes a diagnosis and the likeliest answers so far. why: why the diagnosis ends; "" while another
+            motion follows: it then waits until a page is open, and raises Stopped if stop is pressed meanwhile."""
             answers.append(leading)
             desk.events.publish("diagnosis", shown.diagnosis_document(diagnosis.document, answers, why))
             while not why and desk.resting():
@@ -212,7 +213,7 @@ class Diagnosing(_OnSetUp):
 
         asked = diagnose_live(
             self.live, self.calibration, self.recorded[0], self.recorded[1:], self.recordings(), self.most,
-            progress=desk.doing, seen=seen, answered=answered,
+            progress=desk.show_doing, seen=on_frame, answered=on_answer,
         )  # fmt: skip
         save(asked.diagnosis, self.out)
         self.found = asked
@@ -252,8 +253,8 @@ def attend(
     say: Callable[[str], None] = lambda text: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """The session's main loop: runs the work whenever the page asks for it, until `over()` is true, or Ctrl-C comes
-    while nothing runs. What came of each run goes to the page and to `say`."""
+    """Runs the session's main loop: the work whenever the page asks for it, else its `idle`; until `over()` is true, or
+    Ctrl-C comes while nothing runs. What came of each run goes to the page and to `say`."""
     try:
         while not over():
             if desk.begun:
@@ -268,7 +269,8 @@ def attend(
 
 
 def _run_once(desk: Desk, work: Work) -> str:
-    """Runs the work once. Returns what came of it, in words: its own, "stopped", or an error's text."""
+    """Runs the work once. Returns what came of it, in words: the work's own result, "stopped", or the text of a
+    TautError."""
     try:
         desk.check_stop()  # that came before it began
         return work.run(desk)
