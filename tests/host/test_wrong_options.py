@@ -85,6 +85,8 @@ def test_a_sine_takes_some_time(taut: Taut, model: Path) -> None:
         (("diagnose", "run", "run", "--out", "m", "--camera", "0"), "--camera"),
         (("diagnose", "run", "run", "--out", "m", "--most", "2"), "--most"),
         (("diagnose", "run", "run", "--out", "m", "--workers", "2"), "--workers"),
+        (("diagnose", "run", "--out", "m", "--simulator", "robot.xml", "--board", "usb"), "--board"),
+        (("diagnose", "run", "--out", "m", "--simulator", "robot.xml", "--most", "2"), "--most"),
         (("live", "run", "--watch", "model"), "--watch"),
         (("shapes", "recall", "library", "run", "--simulate"), "--simulate"),
         (("export", "run", "--to", "csv", "--out", "m", "--scale", "2"), "--scale"),

@@ -61,8 +61,9 @@ class TableMover:
         self.moves: list[TablesMoved] = []
         self.beyond = ""  # in words, what was learnt beyond that
         self._sent_s = -np.inf  # the arrival of the frame by which the board was told last
+        self._in_use = TablesMoved(-np.inf, 0.0, 1.0)
         if self.most is not None:
-            self._send(TablesMoved(-np.inf, 0.0, 1.0), 0.0)
+            self._send(self._in_use, 0.0)
 
     def use(self, t_s: float, offset: float, scale: float) -> None:
         """Has the board move its tables to the offset (unit of q) and scale of B learnt from a frame that arrived at
@@ -82,21 +83,23 @@ class TableMover:
             )
         counts = abs(allowed.offset - self._in_use.offset) / self._live.resolution
         is_new = counts > _NEWS_COUNTS or abs(allowed.scale - self._in_use.scale) > _NEWS_SCALE
-        if is_new:
+        if is_new and self._send(allowed, t_s):
             self.moves.append(allowed)
-        if is_new or (self.moves and t_s > self._sent_s + _AGAIN_S):
-            self._send(allowed if is_new else self._in_use, t_s)
+        elif not is_new and self.moves and t_s > self._sent_s + _AGAIN_S:
+            self._send(self._in_use, t_s)
 
-    def _send(self, move: TablesMoved, t_s: float) -> None:
+    def _send(self, move: TablesMoved, t_s: float) -> bool:
         """Asks the board to move its tables, which takes BLEND_S, and keeps the move as the one in use. If the board
-        refuses, nothing is moved from now on, and `beyond` says why."""
+        refuses, returns False: nothing is moved from now on, and `beyond` says why."""
         offset_counts = move.offset / self._live.resolution
         fields = {"offset": offset_counts, "scale": move.scale, "within_ms": round(1e3 * BLEND_S)}
         try:
             self._live.board.ask("adapt", axis=self._live.axis, **fields)
         except BoardRefused as error:  # other tables than those that were read
             self.most, self.beyond = None, str(error)
+            return False
         self._in_use, self._sent_s = move, t_s
+        return True
 
 
 @dataclass

@@ -176,16 +176,15 @@ def _check_marker_motion(moved: Array, expected: Array, sigma: float) -> bool:
 
 def _marker_at_rest(live: Live, seen: Callable[[Frame], object]) -> tuple[Array, float]:
     """Takes frames of the axis at rest: first those that are still on their way from before, then _STILL_FRAMES.
-    Returns the marker's mean position (2,) and its standard error, px, in the last _STILL_FRAMES frames that show it.
-    All frames go to `seen`. TautError where fewer than half of that number show it."""
+    Returns the marker's mean position (2,) and its standard error, px, in those of the latter that show it. All frames
+    go to `seen`. TautError where fewer than half of _STILL_FRAMES show it."""
     delayed_frames = round(live.rig.delay_s * (live.rig.camera.frame_rate_hz if live.rig.camera else 25.0)) + 1
     places = []
-    for _ in range(_STILL_FRAMES + delayed_frames):
+    for taken in range(delayed_frames + _STILL_FRAMES):
         frame = live.look()
         seen(frame)
-        if frame.sighting.valid:
+        if taken >= delayed_frames and frame.sighting.valid:
             places.append((frame.sighting.u_px, frame.sighting.v_px))
-    places = places[-_STILL_FRAMES:]
     if len(places) < _STILL_FRAMES / 2:
         raise TautError(
             "the marker is not seen while all is at rest: check the camera, or pick its colour: taut marker"
