@@ -162,6 +162,9 @@ def test_only_as_far_as_the_tables_allow(bench: Bench) -> None:
         assert len(mover.moves) == 2
         mover.use(3.5, -0.3, 1.5)  # told again, but no news
         assert len(mover.moves) == 2
+        board.load_table(0, tables.encode(model, limits=tables.Limits.of(RIG)))  # which may not be moved
+        mover.use(5.0, 0.02, 1.0)
+        assert len(mover.moves) == 2 and mover.most is None and mover.beyond
 
 
 def test_tables_that_may_not_be_moved_are_left_alone(bench: Bench) -> None:
