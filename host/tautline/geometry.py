@@ -25,7 +25,8 @@ PLACED_PX = 0.05  # prior: by docs/marker.md, 0.015 to 0.05
 
 
 def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
-    """g of the paper: the marker's position (n, 3) mm in the bending section's frame, at bending angles c (n,) deg."""
+    """g of the paper: the marker's position (n, 3), mm, in the frame of the bending section, at bending angles c (n,),
+    deg: a section of constant curvature, then a straight tip. c > 0 bends towards +x."""
     c = np.radians(np.atleast_1d(np.asarray(c_deg, dtype=float)))
     length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
     sin, cos = np.sin(c), np.cos(c)
@@ -45,7 +46,7 @@ def rotation(angles_deg: tuple[float, float, float]) -> Array:
 
 
 def about_base_z(angle_deg: npt.ArrayLike, vector: Array) -> Array:
-    """Rz(angle) applied to (n, 3) vectors; angle (n,) or scalar, deg."""
+    """(n, 3) Vectors turned by `angle_deg` about z, Rz(angle) v; angle (n,) or scalar, deg."""
     a = np.radians(np.asarray(angle_deg, dtype=float))
     sin, cos = np.sin(a), np.cos(a)
     x, y, z = vector.T
@@ -53,7 +54,7 @@ def about_base_z(angle_deg: npt.ArrayLike, vector: Array) -> Array:
 
 
 def to_camera(hand_eye: HandEye, base: Array) -> Array:
-    """X_cam = R X_base + t, (n, 3) mm."""
+    """Base points (n, 3), mm, in the camera's frame: X_cam = R X_base + t."""
     product: Array = base @ rotation(hand_eye.rotation_deg).T + np.asarray(hand_eye.translation_mm)
     return product
 
@@ -68,8 +69,8 @@ def to_image(camera: Camera, point: Array) -> Array:
 
 
 def projection_rig(rig: Rig) -> Array:
-    """The fields of struct projection_rig (host/native/projection.h) in order, mm, px and deg, (m,). TautError where
-    the rig has no camera that a marker can be projected to."""
+    """(m,) The rig as C has it: the fields of struct projection_rig (host/native/projection.h) in order, mm, px and
+    deg. TautError where the rig has no camera that a marker can be projected to."""
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
         raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
     camera, place = rig.camera, rig.place
@@ -89,9 +90,9 @@ def projection_rig(rig: Rig) -> Array:
 def project_with_slope(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """h(g(c)) (n, 2) px and J = d(h g)/dc (n, 2) px per deg (eq. 6, 7). The other two degrees of freedom are (n,) or
-    scalar: P_base = Rz(rotation) (P_bend(c) + [0, 0, translation]). NaN where the marker is not in front of the
-    camera."""
+    """The marker's image position h(g(c)) (n, 2), px, and its derivative d(h g)/dc (n, 2), px per deg (eqs. 6 and 7),
+    at bending angles c_deg (n,). The instrument's two other axes are (n,) or scalar: P_base = Rz(rotation) (P_bend(c) +
+    [0, 0, translation]). NaN where the marker is not in front of the camera."""
     image, slope, _ = _native.see({}, projection_rig(rig), *_poses(c_deg, translation_mm, rotation_deg), slopes=True)
     return image, slope
 
@@ -99,7 +100,8 @@ def project_with_slope(
 def project(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> Array:
-    """The marker's image position (n, 2) px at bending angles c (n,) deg (eq. 6)."""
+    """The marker's image position (n, 2), px, at bending angles c_deg (n,) (eq. 6); arguments and NaN as in
+    `project_with_slope`."""
     image: Array = _native.see({}, projection_rig(rig), *_poses(c_deg, translation_mm, rotation_deg))
     return image
 
@@ -113,7 +115,8 @@ def across(vectors: Array, way: Array) -> Array:
 def px_per_deg(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> Array:
-    """(n,) How far the marker moves in the image per deg of bending, at bending angles c (n,) deg."""
+    """(n,) How far, px, the marker moves in the image per deg of bending, at bending angles c_deg (n,); other arguments
+    as in `project_with_slope`."""
     return np.asarray(np.linalg.norm(project_with_slope(rig, c_deg, translation_mm, rotation_deg)[1], axis=1))
 
 
@@ -124,9 +127,9 @@ def tracked_deg(
     translation_mm: npt.ArrayLike = 0.0,
     rotation_deg: npt.ArrayLike = 0.0,
 ) -> Array:
-    """(n,) One standard deviation, deg, of f_remain by a tracker that is off by a constant d(u, v) of rms tracked_px
-    per coordinate. Frames see f + s.d / |s|^2, s in px per deg, so no number of them tells d from f; B and delay, which
-    compare passes over one place, are free of it."""
+    """(n,) One standard deviation, deg, of f_remain by a tracker whose error d = (du, dv) is constant, of rms
+    tracked_px per coordinate. Frames show f + s.d / |s|^2, where s is the marker's motion in px per deg, so that no
+    number of frames tells d from f. B and the delay, which compare passes over one place, are free of it."""
     if not tracked_px:
         return np.zeros(np.shape(c_deg))
     return tracked_px / px_per_deg(rig, c_deg, translation_mm, rotation_deg)
@@ -146,9 +149,10 @@ def pose(
     start_deg: npt.ArrayLike | None = None,
     iterations: int = 60,
 ) -> tuple[Array, Array]:
-    """The bending angle (n,) deg whose projection is nearest to the image positions (n, 2) px, and the distance (n,)
-    px that is left. Levenberg-Marquardt of eq. 8 for all samples at once, with the analytic Jacobian; it starts at
-    the nearest of a grid over the coarse range and half as much again unless start_deg says where. NaN stays NaN."""
+    """The bending angle (n,), deg, whose projection is nearest to the image positions image_px (n, 2), and the distance
+    that is left (n,), px; both NaN where a position is NaN. Solves eq. 8 by Levenberg-Marquardt for all samples at
+    once, in at most `iterations` steps, from start_deg or else from the nearest angle of a grid over the coarse range
+    and half as much again. translation_mm, rotation_deg: of the other axes, (n,) or scalar."""
     image = np.atleast_2d(np.asarray(image_px, dtype=float))
     count = len(image)
     translation = np.broadcast_to(np.asarray(translation_mm, dtype=float), (count,))
@@ -162,7 +166,7 @@ def pose(
     predicted, slope = project_with_slope(rig, c, translation, turn)
     error = image - predicted
     cost = np.sum(error * error, axis=1)
-    going = np.flatnonzero(np.isfinite(cost))
+    going = np.flatnonzero(np.isfinite(cost))  # samples whose search goes on
     for _ in range(iterations):
         if not len(going):
             break
@@ -191,8 +195,9 @@ def coarse_range_deg(rig: Rig) -> tuple[float, float]:
 
 
 def _nearest_on_grid(rig: Rig, image: Array, translation: Array, turn: Array) -> Array:
-    """Start angles (n,), deg, for `pose`: those of a grid, over the coarse range and half as much again, whose image is
-    nearest to image (n, 2), px. translation, turn (n,): of the other axes, mm and deg."""
+    """Start angles (n,), deg, for `pose`: of a grid over the coarse range and half as much again, the angle whose image
+    is nearest to image (n, 2), px; the range's middle where that is NaN. translation, turn (n,): of the other axes, mm
+    and deg."""
     low, high = coarse_range_deg(rig)
     margin = _BESIDE * (high - low)
     grid = np.linspace(low - margin, high + margin, _GRID)

@@ -15,7 +15,7 @@ from tautline.effects.library.rate_dependent_backlash import added_width, follow
 from tautline.elements import Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Effect, Model
-from tautline.nearest import Nearest, fewer, nearest_plays
+from tautline.nearest import Nearest, merged_elements, nearest_plays
 
 Array = npt.NDArray[np.float64]
 
@@ -258,4 +258,4 @@ def onset_elements(elements: Elements, v: Mapping[str, float]) -> Elements:
     width = np.outer(elements.width, spread).ravel()
     weight = np.outer(elements.weight, share).ravel()
     order = np.argsort(width, kind="stable")
-    return fewer(width[order], weight[order])
+    return merged_elements(width[order], weight[order])
