@@ -142,7 +142,7 @@ def _scene_times(scene_s: npt.ArrayLike) -> Array:
 
 def _noise_at(model: Model, c_deg: Array) -> Array:
     """(n,) One standard deviation of the calibrated sensor's noise, px or deg, where the tip is at angles c_deg (n,):
-    that of `noise_of`, times what the model knows of the place."""
+    that of `noise_of`, times `noise_times` at its place if the model has these."""
     usual, times = model.noise_of(model.sensor), model.uncertainty.noise_times
     if times is None:
         return np.full(len(c_deg), usual)
@@ -211,8 +211,8 @@ def settled_from(model: Model, motor: Motor) -> float:
 
 
 def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
-    """The time, s, from which a motor at q (n,) at times t_s (n,) has moved by more than `width`, unit of q, in both
-    directions, from wherever it turned; infinite where it never has."""
+    """The time, s, from which a motor at q (n,) at times t_s (n,) has moved both up from its lowest place so far and
+    down from its highest by more than `width`, unit of q; infinite where it never has."""
     up = np.flatnonzero(q - np.minimum.accumulate(q) > width)
     down = np.flatnonzero(np.maximum.accumulate(q) - q > width)
     if len(up) == 0 or len(down) == 0:
@@ -231,9 +231,9 @@ def residuals(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -
 
 
 def foretold(model: Model, recording: Recording, settled_by: Model | None = None) -> float:
-    """Rms of the model's error on a recording, px a coordinate, or deg without a marker, counted from when both
-    directions were driven through the backlash. settled_by: if given, the model whose backlash and delay say from when.
-    TautError where both never were, or nothing was seen after that."""
+    """Rms of the model's error on a recording, px a coordinate, or deg without a marker, counted from when the motor
+    was driven through the backlash both ways. settled_by: if given, the model whose backlash and delay say from when.
+    TautError where it never was, or nothing was seen after that."""
     scored_by, motor = settled_by or model, recording.motor  # whose backlash and delay say which frames count
     begin_s = settled_from(scored_by, motor)
     if not np.isfinite(begin_s):
