@@ -439,7 +439,8 @@ def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
 
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
     """Reads the folder's rig.toml; None where there is none, or where it is damaged and another rig was named. rig: the
-    one that was named. warnings: gets why it was ignored, and keys in it that look misspelt if it is used."""
+    one that was named. warnings: gets why it was ignored, or, if it is the rig in use, keys in it that look
+    misspelt."""
     path = folder / RIG_FILE
     if not path.exists():
         return None

@@ -184,7 +184,7 @@ def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
 
 def recalled(library: Library, recording: Recording) -> tuple[Shape, dict[str, float]]:
     """The shape whose model predicts a recording best, and the rms error of every shape's model by name, px or deg.
-    TautError for an empty library, and where the second best is less than _ALIKE times worse."""
+    TautError for an empty library, and where the second best has less than _ALIKE times the error of the best."""
     rms = {shape.name: foretold(library.model(shape.name), recording) for shape in library.shapes}
     if not rms:
         raise TautError(f"{library.folder}: no shapes in it: add them with 'taut shapes add'")
