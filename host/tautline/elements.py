@@ -59,7 +59,7 @@ class Elements:
 
     @property
     def single(self) -> bool:
-        """Whether it is one play alone, whose width is B."""
+        """Whether the elements are one play alone, whose width is B."""
         return len(self.width) == 1
 
     def to_json(self) -> dict[str, list[float]]:
@@ -202,7 +202,7 @@ class _Periods:
         return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
 
     def next_period(self, u: npt.ArrayLike) -> Array:
-        """Maps u = p - B(p)/2 to p + B(p)/2, unit of q: the map T, one period further."""
+        """Maps u = p - B(p)/2 to p + B(p)/2, unit of q, of any shape: the map T, one period further."""
         return _interpolated(u, self.left, self.right)
 
     def previous_period(self, u: npt.ArrayLike) -> Array:

@@ -128,9 +128,9 @@ def swings(motor: Motor) -> bool:
 
 
 def _third_difference_score(motor: Motor) -> float:
-    """The correlation of neighbouring third differences of the readings less that of white noise, in standard errors:
+    """The correlation of neighbouring third differences of the readings, less that of white noise, in standard errors:
     negative where the motor oscillates, far above 0 where its path is smooth but curved. Differences beyond _OF_NOISE
-    standard deviations of the noise, which are turns, count as so large. 0 for fewer than _FEWEST differences."""
+    standard deviations of the noise, which are turns, are cut to that. 0 for fewer than _FEWEST differences."""
     factors, third = third_differences(motor.t_s, motor.q)
     if len(third) < _FEWEST:
         return 0.0

@@ -60,8 +60,8 @@ def to_camera(hand_eye: HandEye, base: Array) -> Array:
 
 
 def to_image(camera: Camera, point: Array) -> Array:
-    """h of the paper: pinhole projection with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n,
-    3) mm; NaN where a point is not in front of the camera."""
+    """h of the paper: the image positions (n, 2), px, of points (n, 3), mm, in the camera's frame, by a pinhole with
+    OpenCV's distortion k1 k2 p1 p2 k3; NaN where a point is not in front of the camera."""
     seen = point[:, 2:] > 1e-6
     ahead = np.where(seen, point, [0.0, 0.0, 1.0])
     image, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))
@@ -107,7 +107,8 @@ def project(
 
 
 def across(vectors: Array, way: Array) -> Array:
-    """(n, ...) The part of image vectors (n, 2, ...) that is normal to the direction `way` (n, 2), of any length."""
+    """(n, ...) The component of image vectors (n, 2, ...) along the normal of the direction `way` (n, 2), which may
+    have any length: way turned by 90 deg from u towards v."""
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
     return np.asarray(np.einsum("nk,nk...->n...", np.column_stack([-unit[:, 1], unit[:, 0]]), vectors))
 
@@ -136,7 +137,7 @@ def tracked_deg(
 
 
 def _poses(*columns: npt.ArrayLike) -> list[Array]:
-    """The columns, broadcast to one length (n,) and contiguous, as C takes them."""
+    """The columns, each (n,) or scalar, broadcast to one length (n,) and contiguous, as C takes them."""
     flat = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, dtype=float)) for column in columns))
     return [np.ascontiguousarray(column) for column in flat]
 
@@ -189,7 +190,7 @@ def pose(
 
 
 def coarse_range_deg(rig: Rig) -> tuple[float, float]:
-    """The lowest and highest bending angle that f_coarse gives over the motor's range."""
+    """The lowest and highest bending angle, deg, that f_coarse gives over the motor's range."""
     ends = [rig.coarse.gain * q + rig.coarse.offset for q in rig.actuator.range]
     return min(ends), max(ends)
 

@@ -174,7 +174,7 @@ class Model(Value):
 
     @property
     def alone(self) -> Self:
-        """The same model without its effects."""
+        """The model itself if it has no effects, else a copy without them."""
         return replace(self, effects=()) if self.effects else self
 
     def delay_of(self, sensor: Sensor) -> float:
@@ -195,11 +195,11 @@ class Model(Value):
         return Play(self.q, self.width, self.friction or self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
-        """f_remain: bending angles (n,), deg, at centre coordinates p (n,), unit of q; any other shape as well."""
+        """f_remain: bending angles, deg, at centre coordinates p (n,), unit of q, or of any other shape; same shape."""
         return interpolate(p, self.q, self.c_deg)
 
     def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
-        """Centre coordinates (n,), unit of q, at which f_remain is c_deg (n,); of any other shape as well."""
+        """Centre coordinates, unit of q, at which f_remain is c_deg (n,), or of any other shape; same shape."""
         return interpolate_inverse(c_deg, self.q, self.c_deg)
 
     def simulate(self, motor: Motor, t_s: npt.ArrayLike, start_deg: float | None = None) -> Array:

@@ -38,7 +38,7 @@ class Nearest:
 
     @property
     def share(self) -> float:
-        """The share of what there is to undo that these plays leave."""
+        """What these plays leave, over what there is to undo: 0 is exact, 1 as bad as no compensation."""
         return self.left / max(self.undoes, 1e-300)
 
 
@@ -163,7 +163,7 @@ def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
                 (cost + scatter(begin, end), (*ends, end))
                 for begin in range(runs - 1, end)
                 if (known := best.get((runs - 1, begin))) is not None
-                for cost, ends in (known,)
+                for cost, ends in (known,)  # the first run has to weigh _FIRST
                 if runs > 1 or sums[0, end] >= _FIRST
             ]
             if tried:

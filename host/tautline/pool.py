@@ -70,7 +70,7 @@ class _Processes:
     one task at a time, so that a task which kills its worker is known."""
 
     def __init__(self, jobs: int, died: Died) -> None:
-        """jobs: how many; died: gives the result of a task whose worker died though it was alone."""
+        """Starts `jobs` processes. died: gives the result of a task whose worker died although it ran alone."""
         self.jobs, self.died = jobs, died
         self.executor = self._begun()
 

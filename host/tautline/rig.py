@@ -42,7 +42,7 @@ class Actuator:
 
     @property
     def span(self) -> float:
-        """Length of the range, unit."""
+        """Length of the range, unit of q."""
         return self.range[1] - self.range[0]
 
 
@@ -276,7 +276,7 @@ class Rig:
 
     @property
     def delay_s(self) -> float:
-        """The camera's nominal delay, s; 0 without a camera."""
+        """The camera's nominal delay, s, as rig.toml says; 0 without a camera."""
         return self.camera.delay_s if self.camera else 0.0
 
     def nominal_delay_s(self, sensor: Sensor) -> float:

@@ -69,7 +69,7 @@ class Key:
         return int(value) if self.kind == "whole" else float(value)
 
     def refuse(self, value: Any, name: str, where: str, file: str) -> TautError:
-        """The error for a value that the key does not take; arguments as in `read`."""
+        """The error to raise for a value that the key does not take; arguments as in `read`."""
         shown = f"{value:g}" if _is_number(value) else repr(value)
         return _error(where, f"{name} is {shown}, expected {self.expected}", f"{file}.{name}")
 

@@ -105,7 +105,7 @@ class Library:
         return self.model(self.shapes[0].name)
 
     def of(self, name: str) -> Shape:
-        """The shape of this name. TautError where there is none."""
+        """The entry of the shape with this name. TautError where there is none."""
         for shape in self.shapes:
             if shape.name == name:
                 return shape

@@ -59,7 +59,8 @@ class Basis:
         return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
 
     def value(self, coefficients: Array, x: Array) -> Array:
-        """(n,) The curve with these coefficients (size,) at x (n,); (n, channels) of (size, channels)."""
+        """(n,) The curve with these coefficients (size,) at x (n,); with coefficients (size, channels) it is (n,
+        channels)."""
         return np.asarray(self._cubics(coefficients)(self.clip(x)))
 
     def table(self, coefficients: Array, x: Array) -> Array:

@@ -48,7 +48,8 @@ class Limits:
 
     @classmethod
     def of(cls, rig: Rig) -> Limits:
-        """Moderate limits: the range in half a second; take-up at half that speed, reached within 0.1 s."""
+        """Moderate limits for a rig: at most the range in half a second; take-up at half that speed, reached within 0.1
+        s."""
         actuator = rig.actuator
         return cls(
             speed_max=2.0 * actuator.span,
@@ -61,8 +62,8 @@ class Limits:
 
     @classmethod
     def in_use(cls, rig: Rig) -> Limits:
-        """Moderate limits for tables that may be moved in use: by a tenth of the range, and to B between 0 and twice as
-        wide."""
+        """Moderate limits (`of`) for tables that may be moved in use, by up to a tenth of the range, and to a B between
+        0 and twice as wide."""
         return replace(cls.of(rig), adapt=(_MOVED * rig.actuator.span, 0.0, 2.0))
 
 

@@ -36,8 +36,9 @@ class Trajectory:
         return float(self.t_s[-1])
 
     def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
-        """The same bending while translation and rotation oscillate with these amplitudes, rotation slower by the
-        golden ratio, so that the two never repeat together; an amplitude of 0 leaves that axis out."""
+        """The same bending while the instrument oscillates along and about the base z axis with these amplitudes.
+        Translation has period_s, s; rotation is slower by the golden ratio, so that the two never repeat together. An
+        amplitude of 0 leaves that axis out."""
         phase = 2 * np.pi * self.t_s / period_s
         return replace(
             self,

@@ -48,7 +48,7 @@ class Joint:
 
 
 def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
-    """Parameters, by effect id, of those effects of the model that neither its table of B nor that of f holds."""
+    """Parameters, by effect id, of the model's effects that its tables, rig and delay do not hold already."""
     from tautline.effects import BY_ID, of_this_version
 
     return {effect.id: dict(effect.parameters) for effect in of_this_version(model) if BY_ID[effect.id].holds is None}

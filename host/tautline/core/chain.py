@@ -40,7 +40,7 @@ class OutsideBlock:
     steps: tuple[float, ...] = ()  # of the values, over which what goes out is near enough straight
 
     def __post_init__(self) -> None:
-        """ValueError where a value has no step above 0."""
+        """Raises ValueError unless each value has a step above 0."""
         if len(self.values) != len(self.steps) or not all(step > 0.0 for step in self.steps):
             raise ValueError(f"{self.name}: every value needs a step above 0")
 
@@ -106,7 +106,7 @@ class Chain:
         return by_differences(lambda x: self._with(x).at(path, scene_s, start_deg).rows, values, steps)
 
     def _with(self, values: Array) -> Chain:
-        """The chain with these values (m,) of all blocks from outside, in their order."""
+        """The chain with other values (m,) of its blocks from outside: those of all blocks, one after the other."""
         rest = iter(values.tolist())
         return replace(self, outside=[replace(b, values=tuple(next(rest) for _ in b.values)) for b in self.outside])
 

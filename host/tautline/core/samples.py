@@ -106,7 +106,7 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     """(n,) Which frames show something else than the tip: y (n, channels) at times t (n,), s. First those that are
     elsewhere for one or two frames: far from the median of _MEDIAN frames beside the noise and the usual steps there. A
     jump that stays is none, nor is a motion that goes one way. The search is repeated without the strays found, as
-    several close together look like motion. Then those that are elsewhere for a while (`_elsewhere`). path: of the
+    several close together look like motion. Then those that are elsewhere for a while (`_frames_off_tip`). path: of the
     motor; sigma: the noise of a coordinate."""
     stray = np.zeros(len(y), dtype=bool)
     kept = np.arange(len(y))
@@ -122,16 +122,16 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
         kept = kept[~further]
     t, y = t[kept], y[kept]
     anew = ~repeats(y)  # a frame that repeats the one before says nothing new of the tip, and shares its verdict
-    stray[kept[_elsewhere(path, t[anew], y[anew], sigma)[np.cumsum(anew) - 1]]] = True
+    stray[kept[_frames_off_tip(path, t[anew], y[anew], sigma)[np.cumsum(anew) - 1]]] = True
     return stray
 
 
-def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
-    """(n,) Frames between two jumps at which y (n, channels) shows something else than the tip for a while: it is where
-    the tip never is, as when a tracker was on another blob, or is back where it was before the motor could have brought
-    the tip there and back, a sensor's spike. A jump is more than the tip goes in a few frames then, and than the
-    motor's quickest makes it go. A tip that snaps goes along its path and comes back when its motor does: it is no
-    stray. path: of the motor; t (n,): times, s; sigma: the noise of a coordinate."""
+def _frames_off_tip(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
+    """(n,) Frames between two jumps at which y (n, channels) shows something else than the tip for a while: a place
+    where the tip never is, as when a tracker was on another blob, or a sensor's spike (`_spikes`). A jump is more than
+    the tip goes in a few frames then, and than the motor's quickest makes it go. A tip that snaps goes along its path
+    and comes back when its motor does: it is no stray. path: of the motor; t (n,): times, s; sigma: the noise of a
+    coordinate."""
     away = np.zeros(len(y), dtype=bool)
     if len(y) < FEW:
         return away
@@ -145,8 +145,8 @@ def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     step = np.linalg.norm(np.diff(y, axis=0), axis=1)
     usual = median_filter(step, max(_USUAL, 2 * round(0.5 * _AROUND_S / usual_gap) + 1), mode="nearest")
     frames = np.maximum(gaps / usual_gap, 1.0)  # that passed, some unseen
-    goes = np.maximum(usual, quickest)
-    jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * frames * goes) + 1
+    tip_step = np.maximum(usual, quickest)
+    jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * frames * tip_step) + 1
     # Runs of frames between jumps. The tip's own are the first and last one, long ones, and the longest that hold half
     # of all frames; the others are unsure.
     edges = np.concatenate([[0], jumps, [len(y)]])
@@ -157,23 +157,34 @@ def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     unsure[most] = unsure[[0, -1]] = False
     if not unsure.any():
         return away
-    for first in np.flatnonzero(unsure):
-        # Spikes: unsure runs after which y is back sooner than the tip could have gone as far as either jump.
-        last = first
-        while unsure[last]:
-            begin, end = edges[first], edges[last + 1]
-            could = _STRAY * sigma + _STEEP * (t[end] - t[begin - 1]) / usual_gap * goes[[begin - 1, end - 1]].max()
-            if could >= step[begin - 1]:
-                break
-            if could < step[end - 1] and np.linalg.norm(y[end] - y[begin - 1]) < could:
-                away[begin:end] = True
-            last += 1
+    away = _spikes(t, y, edges, unsure, tip_step, sigma)
     # Another blob: runs that are farther from all places of the tip than its frames are from one another.
     of_tip = KDTree(y[np.repeat(~unsure, length)])
     between = _STRAY * sigma + float(usual.max())
     for i in np.flatnonzero(unsure):
         run = slice(edges[i], edges[i + 1])
         away[run] |= bool(np.median(of_tip.query(y[run])[0]) > between)
+    return away
+
+
+def _spikes(t: Array, y: Array, edges: npt.NDArray[np.intp], unsure: Mask, tip_step: Array, sigma: float) -> Mask:
+    """(n,) Frames of a sensor's spikes: unsure runs, one or several in a row, that y (n, channels) jumps to and comes
+    back from to where it was, in less time than the tip needs to go as far as either jump. t (n,): times, s; edges (r +
+    1,): where the runs begin, and n; unsure (r,): which runs may be no part of the tip's motion, not the first and
+    last; tip_step (n - 1,): how far the tip goes in a frame; sigma: the noise of a coordinate."""
+    away, step = np.zeros(len(y), dtype=bool), np.linalg.norm(np.diff(y, axis=0), axis=1)
+    usual_gap = float(np.median(np.diff(t)))
+    for first in np.flatnonzero(unsure):
+        last = first
+        while unsure[last]:
+            begin, end = edges[first], edges[last + 1]
+            # How far the tip may have gone between the frames before and after these runs.
+            could = _STRAY * sigma + _STEEP * (t[end] - t[begin - 1]) / usual_gap * tip_step[[begin - 1, end - 1]].max()
+            if could >= step[begin - 1]:
+                break
+            if could < step[end - 1] and np.linalg.norm(y[end] - y[begin - 1]) < could:
+                away[begin:end] = True
+            last += 1
     return away
 
 

@@ -19,7 +19,7 @@ from tautline.explain.topic import KINDS, Topic
 
 @cache
 def topics() -> Mapping[str, Topic]:
-    """All topics by code, in the order of KINDS."""
+    """All topics by code, in the order of KINDS; collected once."""
     listed = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), _formats(), TERMS))
     listed.sort(key=lambda topic: list(KINDS).index(topic.kind))
     return {topic.code: topic for topic in listed}

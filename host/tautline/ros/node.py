@@ -136,8 +136,8 @@ class Node:
                     self._publish_state(time_ns, *(float(column[i]) for column in _columns(batch)))
 
     def _publish_state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
-        """Publishes one telemetry sample on the four topics of joint states. time_ns: ROS time; q, q_ref: the motor's
-        position and set-point, counts; c_deg, c_ref_deg: the tip's, deg."""
+        """Publishes one telemetry sample on the four topics of joint states, in SI units. time_ns: ROS time; q, q_ref:
+        the motor's position and set-point, counts; c_deg, c_ref_deg: the tip's, deg."""
         tip, motor = self.parameters.joint, self.parameters.command_joint
         si_per_count = messages.si_per_unit(self._live.rig) * self._live.resolution
         c, c_ref = math.radians(c_deg), math.radians(c_ref_deg)
@@ -150,8 +150,9 @@ class Node:
             self._joints[name].publish(messages.joint_state(time_ns, positions))
 
     def saw(self, frame: Frame) -> None:
-        """Publishes what a frame shows, if the marker was found: its place in the image and the tip's angle by it, with
-        the time of the scene. The camera's thread calls this; only one thread may."""
+        """Publishes what a frame shows, if the marker was found: its place in the image, and the tip's angle by its
+        pose, with the time of the scene. Only the camera's thread may call it: the search for the angle begins at the
+        last one."""
         seen = frame.sighting
         if not seen.valid:
             return
