@@ -132,13 +132,7 @@ class Compensator:
         last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)  # a tick at the end is in, if rounded
         times = self._begin_s + np.arange(self._ticks, last + 1) / self.rate_hz
         raw = _raw(np.interp(times, known_s, known_deg))
-        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)  # q: Q8 counts at first
-        for begin in range(0, len(raw), _PIECE):
-            piece = slice(begin, begin + _PIECE)
-            q[piece], _, _, flags[piece] = self._native.run(raw[piece])
-            progress(min(1.0, (begin + _PIECE) / len(raw)), f"{len(raw)} set-points")
-        clipped = flags & _CLIPPED != 0
-        q *= self._unit
+        q, clipped = self._run_native(raw, progress)
         if self._most is not None and len(q):  # the first tick of all is free: the motor starts there
             limited = _rate_limited(q, self._most, float(q[0]) if self._ticks == 0 else self._q)
             clipped |= limited != q
@@ -148,6 +142,16 @@ class Compensator:
         self._ticks = last + 1
         self._before_s, self._before_deg = float(t_s[-1]), float(c_deg[-1])
         return SetPoints(times, q, clipped)
+
+    def _run_native(self, raw: npt.NDArray[np.int32], progress: Progress) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Runs the board's compensator for one tick after the other, on commands raw (n,), DEG_ONE to a degree. Returns
+        set-points (n,), unit of q, and which of them were clipped (n,)."""
+        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)  # q: Q8 counts at first
+        for begin in range(0, len(raw), _PIECE):
+            piece = slice(begin, begin + _PIECE)
+            q[piece], _, _, flags[piece] = self._native.run(raw[piece])
+            progress(min(1.0, (begin + _PIECE) / len(raw)), f"{len(raw)} set-points")
+        return q * self._unit, flags & _CLIPPED != 0
 
     def _with_last_command(self, t_s: Array, c_deg: Array) -> tuple[Array, Array]:
         """The commands between which the new ticks are interpolated: times t_s, s, and angles c_deg, deg, (n,) each,

@@ -22,7 +22,7 @@ JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be f
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """A squared-exponential kernel; prior and white noise in shares of the prior's variance."""
+    """A Gaussian process with a squared-exponential kernel, whose variances are over that of the prior, sigma^2."""
 
     sigma: float  # one standard deviation a priori, in the sensor's unit
     inputs: Array  # (n, d) where it was seen

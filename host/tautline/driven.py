@@ -57,7 +57,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
     reading[::parts] = (readings - zero) / step
     found = _fitted_path(order, np.diff(nodes) / usual_s, reading, read, rounded)
     mean, sigma = found.mean.copy(), found.sigma
-    # The first and last node of averaged readings are in the middle of theirs: the path goes on as it went to the ends.
+    # Block means put the first and last node into the middle of their blocks: the path is prolonged to the ends.
     ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
     nodes[[0, -1]] += ends
@@ -70,7 +70,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
 
 @dataclass(frozen=True)
 class _Swept:
-    """A path at nodes (n,) after a sweep, in the encoder's steps."""
+    """A path at nodes (n,) after a sweep, positions and sigmas in the encoder's steps."""
 
     told: float  # log probability of the readings, each left out in turn
     mean: Array  # (n,)

@@ -142,12 +142,7 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     first = float(table.lower_end(middle))
     last = float(table.next_period(first))
     base = _warp_in_one_period(grid, width, first, last)
-    # The period's knots: even ones, and the corners of B moved into it, without those that nearly coincide.
-    corners = table.into_period(grid - 0.5 * width, first, last)
-    knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
-    knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]
-    if last - knots[-1] < _SAME * (last - first):
-        knots = knots[:-1]
+    knots = _knots_in_one_period(table, first, last)
     phases = np.asarray(base(knots))
     q, x = _in_all_periods(table, knots, phases)
     apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])  # rounding may bring two together
@@ -156,6 +151,15 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     q = np.concatenate([[q[0] - _BEYOND * width[0]], q, [q[-1] + _BEYOND * width[-1]]])
     x = np.concatenate([[x[0] - _BEYOND], x, [x[-1] + _BEYOND]])
     return Warp(q, x - np.interp(middle, q, x))
+
+
+def _knots_in_one_period(table: _Periods, first: float, last: float) -> Array:
+    """Rising knots (k,), unit of q, of a warp in the period [first, last): _FINE even ones, and the table's corners,
+    each moved into the period. Of knots that are nearly the same one is left."""
+    corners = table.into_period(table.left, first, last)
+    knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
+    knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]
+    return knots[:-1] if last - knots[-1] < _SAME * (last - first) else knots
 
 
 def _with_least_width(grid: Array, width: Array, narrow: float) -> tuple[Array, Array]:
@@ -270,18 +274,7 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
     """(_MESH,) A warp's values v at the nodes of one period, with v[0] = 0, for which the curve v[k mod _MESH] +
     period[k] at q[k] has the least integral of its squared third derivative where `inside`. q, period, inside: (n,).
     Even steps are mixed in, by as little as keeps each step above _AT_LEAST of the mean one."""
-    weights = np.zeros((len(q) - 3, 4))
-    for i in range(4):
-        others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
-        weights[:, i] = 6.0 / np.prod(others, axis=0)  # equation: 6 f[q0, q1, q2, q3] is the third derivative
-    # equation: the integral of f'''^2 as a sum, each term weighed by the mean of its three steps
-    weights *= (np.sqrt((q[3:] - q[:-3]) / 3.0) * (inside[3:] & inside[:-3]))[:, None]
-    design = np.zeros((len(q) - 3, _MESH))
-    rows = np.arange(len(q) - 3)
-    right = np.zeros(len(q) - 3)
-    for i in range(4):
-        design[rows, (rows + i) % _MESH] += weights[:, i]
-        right -= weights[:, i] * period[i : len(q) - 3 + i]
+    design, right = _third_derivative_rows(q, period, inside)
     even = np.arange(1, _MESH) / _MESH
     # Least squares for the deviations of v from even steps: normal matrix and right side in one product.
     system = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])
@@ -295,3 +288,21 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
     # The largest share of the smoothest with which every step is _AT_LEAST of the mean one.
     share = 1.0 if least >= _AT_LEAST * mean else (1.0 - _AT_LEAST) * mean / (mean - least)
     return np.concatenate([[0.0], share * smoothest + (1.0 - share) * even])
+
+
+def _third_derivative_rows(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The rows whose squares (design v - right)^2 sum to the integral of the squared third derivative that
+    `_least_third_derivative` makes small: design (n - 3, _MESH), right (n - 3,). Arguments as there."""
+    weights = np.zeros((len(q) - 3, 4))
+    for i in range(4):
+        others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
+        weights[:, i] = 6.0 / np.prod(others, axis=0)  # equation: 6 f[q0, q1, q2, q3] is the third derivative
+    # equation: the integral of f'''^2 as a sum, each term weighed by the mean of its three steps
+    weights *= (np.sqrt((q[3:] - q[:-3]) / 3.0) * (inside[3:] & inside[:-3]))[:, None]
+    design = np.zeros((len(q) - 3, _MESH))
+    rows = np.arange(len(q) - 3)
+    right = np.zeros(len(q) - 3)
+    for i in range(4):
+        design[rows, (rows + i) % _MESH] += weights[:, i]
+        right -= weights[:, i] * period[i : len(q) - 3 + i]
+    return design, right

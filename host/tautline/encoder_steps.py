@@ -55,8 +55,8 @@ def steps_of(motor: Motor, resolution: float) -> Steps | None:
 
 @dataclass(frozen=True)
 class Rest:
-    """The motor stands at `q`, the rig's unit, from `start_s` to `end_s`, the same where it turns at once; the count
-    last changed before it at `since_s` and next changes at `until_s`."""
+    """The motor stands at `q`, the rig's unit, from start_s to end_s, s, which are equal where it turns at once. The
+    count before that last changed at since_s, and it changes next at until_s."""
 
     q: float
     start_s: float
@@ -95,14 +95,11 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
     stops, asked, slowing = [], 0, 0  # asked: sides of stops, before and after; slowing: those at which it slows down
-    # Below (k + 1,), i of the count that holds from change i - 1 to change i: when it begins, whether the motor turns
-    # in it, how long it lasts.
-    edges = np.concatenate([t[:1], at, t[-1:]])
-    turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
+    # Count i, of k + 1, holds from change i - 1 to change i.
+    edges = np.concatenate([t[:1], at, t[-1:]])  # when each begins, and the last one ends
     lasts = np.diff(edges)
-    padded = np.concatenate([[0.0], lasts, [0.0]])
-    beside = padded[:-2] + padded[2:]  # a motor that only passes is as long in each of its counts
-    for i in np.flatnonzero(turned | (lasts > np.maximum(beside, REST_S))):
+    turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])  # the motor turns in this count
+    for i in np.flatnonzero(turned | _outlasts_neighbours(lasts)):
         first, last = i == 0, i == len(changes)
         centre = counts[0] if first else counts[changes[i - 1] + 1]
         since, until, turns = edges[i], edges[i + 1], turned[i]
@@ -115,7 +112,7 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
         if not sides:
             continue
         middle = 0.5 * (since + until)
-        # Where no vertex is told it comes as fast as through the count before, within a sample where it jumps.
+        # Without a parabola on a side the motor is taken to go as fast as through the count beside it.
         start_s = since + min(slows.lasts_s if slows else _half_count_s(t, changes, step, lasts, i - 1), middle - since)
         end_s = until - min(starts.lasts_s if starts else _half_count_s(t, changes, step, lasts, i), until - middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
@@ -123,6 +120,14 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
         level = encoder.zero + encoder.count * float(np.mean([side.level for side in sides]))
         stops.append(Rest(q=level, start_s=start_s, end_s=end_s, since_s=since, until_s=until))
     return Stops(stops, 2 * slowing >= asked)
+
+
+def _outlasts_neighbours(lasts: Array) -> npt.NDArray[np.bool_]:
+    """(k,) Which counts last longer than REST_S and than both counts beside them together: a motor that only passes
+    through stays as long in each. lasts (k,): how long each count holds, s."""
+    padded = np.concatenate([[0.0], lasts, [0.0]])
+    beside = padded[:-2] + padded[2:]
+    return np.asarray(lasts > np.maximum(beside, REST_S))
 
 
 def _half_count_s(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:

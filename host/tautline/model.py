@@ -56,7 +56,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Deviation:
-    """What a model would have instead of its own if all of its unknowns were off together, one way."""
+    """Tables, delay and effects that a model would have if all of its unknowns were off together in one direction."""
 
     width: Array  # (n,) B on the model's grid, unit of q
     c_deg: Array  # (n,) f_remain
@@ -87,7 +87,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What a model is off by beside the sigmas of its tables; nothing where no calibration or diagnosis has told it."""
+    """What a model may be off by beside the sigmas of its tables, where a calibration or a diagnosis has found it."""
 
     noise: float | None = None  # one standard deviation of a reading about its prediction, px a coordinate or deg
     noise_times: Array | None = None  # (n,) of it, where the tip is at a node: noise that differs from place to place

@@ -40,7 +40,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations. Unknowns: B's and f's coefficients, then those of the columns. They can be added to."""
+    """Normal equations, to which rows are added in place. Unknowns: the coefficients of B and f, then the columns'."""
 
     matrix: Array  # (m, m)
     gradient: Array  # (m,)
@@ -64,7 +64,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Nominal:
-    """The bases of B and of the curve."""
+    """The spline bases of B and of the curve that follows p."""
 
     width: Basis
     follow: Basis

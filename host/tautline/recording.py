@@ -45,8 +45,8 @@ FILES = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Motor(Value):
-    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly. What follows from one can be
-    kept by it (encoder.py): it has a hash."""
+    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly. A motor has a
+    hash, so that what is computed from it can be kept with it as the key (encoder.py)."""
 
     t_s: Array
     q: Array  # bending motor, the rig's unit
@@ -96,7 +96,7 @@ class Motor(Value):
 
 @dataclass(frozen=True)
 class Shown:
-    """A square that was shown in a picture: a place on an instrument without a marker."""
+    """A square that somebody pointed out in a picture: the place that is followed on an instrument without a marker."""
 
     at_px: tuple[float, float]
     side_px: float
@@ -143,7 +143,7 @@ class Video(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Value):
-    """marker, angle or video is there; several may be."""
+    """What was recorded of one motion. At least one of marker, angle and video is there."""
 
     name: str
     motor: Motor

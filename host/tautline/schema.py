@@ -116,7 +116,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Column:
-    """Of a CSV. `name` may hold {unit}: the rig's unit of q."""
+    """A column of a CSV. `name` may hold {unit}, which stands for the rig's unit of q."""
 
     name: str
     says: str

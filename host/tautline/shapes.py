@@ -48,7 +48,7 @@ _LEAST = 0.1, 0.05, 0.2  # prior: and at least so much of B (offset), of the sca
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape of the shaft, beside the library's first one."""
+    """One shape of the shaft. Offset and scale are relative to the library's first shape."""
 
     name: str
     offset: float = 0.0  # of the transmission, unit of q
@@ -58,7 +58,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a tracker finds, beside the model that it tracks with."""
+    """What a tracker has learnt, relative to the model that it tracks with."""
 
     offset: float
     offset_sigma: float

@@ -69,7 +69,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Table:
-    """What a blob says, in the rig's unit and degrees."""
+    """The content of a blob, in the rig's unit and degrees."""
 
     axis: int
     kind: str  # bending, translation or rotation

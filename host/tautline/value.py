@@ -15,7 +15,8 @@ _SHOWN = 3  # items of a sequence
 
 
 class Value:
-    """For frozen dataclasses made with eq=False and repr=False. What is cached on them is no part of them."""
+    """Equality, pickling and repr for frozen dataclasses made with eq=False and repr=False; cached properties are left
+    out of all three."""
 
     def __eq__(self, other: object) -> bool:
         """Whether both are of one type and their fields hold the same (`same`)."""
