@@ -113,9 +113,10 @@ def import_recording(
         was stated, where times are those of two clocks, and for a file that is cut; nothing is written then.
     Source: docs/import.md; the files of docs/files.md and import.toml, which says where each number came from.
 
-    source: as propose_import's. folder: of the recording, or of the recordings where a data set has several episodes
-    and episode names none. tip: one angle or orientation, or u and v in px. command, load, video, joints: further
-    channels. time: a CSV's column of times. rig: written beside each recording; default what they show of it.
+    source: as propose_import's. folder: of the recording, or of all recordings where a data set has several episodes
+    and `episode` is None. tip: one angle or orientation, or u and v in px. command, load, video, joints: further
+    channels. time: a CSV's column of times. rig: written beside each recording; by default one with the range,
+    smallest step and slope that the recording shows.
     """
     from tautline.io import importing
 
@@ -223,8 +224,7 @@ def compensate(
         signs put right); firmware/estimator/tl_compensator.h.
 
     Each set-point knows the trajectory up to its own time only. mode: off inverts f_coarse alone, backlash
-    f_coarse and B, full f_remain and B. The tip starts at rest on the centre line at start_deg, default
-    c_deg[0].
+    f_coarse and B, full f_remain and B. The tip starts at rest on the centre line at start_deg, default c_deg[0].
     """
     from tautline.compensation import compensate as compensated
 
@@ -297,10 +297,10 @@ def diagnose_simulator(
     Shapes: as diagnose's; `.document["simulator"]["parameters"]` has name, unit, nominal and value of what was named,
         `["step"]` what the simulator errs by at its own step of time, where that shows beside the noise.
     Units: those that the simulator declares; gaps in px or deg as diagnose's.
-    Errors: TautError where a recording has nothing to compare, where nothing can be scored, and for what the simulator
-        gives that is no angle.
+    Errors: TautError where a recording has nothing to compare, where nothing can be scored, and where the simulator
+        gives something else than angles.
     Source: docs/diagnosis.md: the simulated tip takes the motor's place, with no backlash and f_remain = f_coarse; the
-        library's effects act on it, and the simulator's parameters are further ones, differentiated by differences.
+        library's effects act on it, and the simulator's parameters are further unknowns, by finite differences.
 
     simulator: tautline.simulators.mjcf.simulator(FILE, ACTUATOR, TIP), or a tautline.simulators.Simulator around any
     function. robots: with the motor's log or command, and what was seen. rig: default the recordings' own. workers:
@@ -326,8 +326,8 @@ def report(
     Source: the figures of a page are those of the paper's Figs. 7 to 11; docs/files.md lists the files.
 
     A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take, with the motion
-    that would measure the rest of the range where there is one (next_motion.csv); a model the same without measured
-    frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
+    that would measure the rest of the range where there is one (next_motion.csv); a Model becomes one too, its
+    page without measured frames; a diagnosis becomes its DIR (diagnosis.json, corrected/, nominal/).
     """
     from tautline.diagnosis.diagnose import Diagnosis
     from tautline.live import closing
@@ -358,7 +358,7 @@ def plot(
 
     Shapes: none; recordings: those that a calibration was made from, to draw what was seen behind the curves.
     Units: as in the result.
-    Errors: TautError where a recording cannot be read, and for models by name that are none or of two units.
+    Errors: TautError where a recording cannot be read, and for a mapping that is empty or has models of two units.
     Source: B(q), its widths and the characteristic as in the paper's Figs. 7 to 9; of a diagnosis what both models
         leave over the session's time; of several models by name how they differ.
     """

@@ -173,8 +173,8 @@ class Compensator:
     def adapt(self, offset: float, share: float, within_s: float = BLEND_S) -> None:
         """Moves the tables in use, as a board does when it is told what a tracker learnt: by `offset` of the
         transmission, unit of q (`Row.offset` of a `Tracker`), and to `share` of the calibrated backlash
-        (`Tracker.compensation`), blended over within_s, s. TautError, with the tables as they were, where a board's
-        tables do not allow it: an offset above a tenth of the range, a share outside 0 to 2."""
+        (`Tracker.compensation`), blended over within_s, s. Raises a TautError and leaves the tables as they were for an
+        offset above a tenth of the range, a share outside 0 to 2, or a within_s that is negative or infinite."""
         farthest, least, most = self._farthest
         if not (abs(offset) <= farthest and least <= share <= most and 0.0 <= within_s < np.inf):
             raise TautError(

@@ -154,8 +154,8 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
 
 
 def _knots_in_one_period(table: _Periods, first: float, last: float) -> Array:
-    """Rising knots (k,), unit of q, of a warp in the period [first, last): _FINE even ones, and the table's corners,
-    each moved into the period. Of knots that are nearly the same one is left."""
+    """The knots (k,) of a warp in one period [first, last), unit of q, rising: _FINE even ones, and the table's
+    corners, each moved into the period by T. Knots nearer to each other than a share _SAME of the period are one."""
     corners = table.into_period(table.left, first, last)
     knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
     knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]

@@ -62,9 +62,9 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
 
 
 def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
-    """Returns `between_counts` of a motor without a posterior, and the encoder's steps. These are None where the
-    readings have none, or were smoothed and scatter by more than steps alone do, so that a change of count tells no
-    stop or turn of the motor."""
+    """Returns `between_counts` of a motor without a posterior, and the encoder's steps. Instead of the steps it returns
+    None where the readings have none, or where they were smoothed and scatter by more than steps do: a change of count
+    then does not show where the motor stops or turns."""
     steps = _steps_of(motor, resolution)
     noise_counts = reading_noise(motor) / (resolution if steps is None else steps.count)
     if _needs_smoothing(motor, steps, noise_counts):
@@ -273,9 +273,9 @@ def _stops_by_counts(motor: Motor, resolution: float) -> Stops:
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
-    """Computes what `straight_lines` keeps. Lines of a motor with a posterior are within its usual sigma of its path,
-    and each rest is at one level: the path's own or, where its acceleration is what is constant (Driven.order 3), the
-    one that the changes of count tell."""
+    """Computes what `straight_lines` keeps. For a motor with a posterior the lines are within the posterior's median
+    sigma of its path, and each rest is at one level: the path's mean for order 2 of `Driven`, the level that the
+    changes of count show for order 3."""
     path = posterior_of(motor, resolution)
     if path is None:
         return _lines_by_acceleration(motor, resolution)
@@ -295,10 +295,10 @@ def posterior_of(motor: Motor, resolution: float) -> Driven | None:
 
 
 def _posterior(motor: Motor, resolution: float) -> Driven | None:
-    """Computes what `posterior_of` keeps. A motor with fine counts that slows down to its stops has a posterior with a
-    constant acceleration between jumps (order 3). One whose speed jumps has one of order 2, where readings are farther
-    from lines of constant acceleration at stops than counts and noise allow, or have noise but no steps. None for few
-    readings, for ones that are exact beside the motor's travel, for a motor that oscillates, and for any other one."""
+    """Computes what `posterior_of` keeps. Order 3 (`Driven.order`): a motor with fine counts that slows down to its
+    stops. Order 2: readings that have noise but no steps, or are farther from lines of constant acceleration at stops
+    than counts and noise allow, as where speed jumps. None: too few readings, readings that are exact beside the
+    motor's travel, a motor that oscillates, and all others."""
     steps, noise = _steps_of(motor, resolution), reading_noise(motor)
     unsure = noise if steps is None else steps.count
     if len(motor.q) < CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
@@ -312,7 +312,7 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
     fine = steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count
     if fine and _stops_of(motor, resolution).slows_down:
         return _posterior_from_counts(motor, steps, order=3)
-    lines = _lines_by_acceleration(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
+    lines = _lines_by_acceleration(Motor(motor.t_s, motor.q), resolution)  # q alone: no knots for other columns
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:
         return None

@@ -84,10 +84,10 @@ class _Vertex:
 
 
 def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
-    """Where the motor rests or turns. It turns within a count, or rests in one that lasts longer than REST_S and than
-    both counts beside it together. An encoder shows nothing of the last count before a stop, which takes 13 ms at 12
-    mm/s^2 and 1 um: it is extrapolated from the changes of count before and after, at constant acceleration. Stops of
-    which neither side has enough changes are left out. encoder: the readings' steps."""
+    """Finds where the motor rests or turns: in a count in which its direction changes, or which lasts longer than
+    REST_S and than both counts beside it together. The last count before a stop, in which an encoder shows nothing (13
+    ms at 12 mm/s^2 and 1 um), is extrapolated from the changes of count before and after, at constant acceleration. A
+    stop is left out where neither side has enough changes for that. encoder: the readings' steps."""
     t, counts = motor.t_s, encoder.counts
     changes = np.flatnonzero(np.diff(counts))
     # Of each of k changes of count: when, s, by how many counts, and where the motor is then, counts.

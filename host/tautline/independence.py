@@ -25,10 +25,10 @@ def frames_each(
     window: float = np.inf,
     group: npt.NDArray[np.int_] | None = None,
 ) -> float:
-    """How many correlated residuals tell as much as one independent one: 1 + 2 sum of their autocorrelation, 1 at
-    least. residuals: (n,) or (n, channels). The sum goes over at most `longest` lags, to the first correlation below
-    `least` or to a lag of `window` times the correlation length so far, half that sum (Sokal). group (n,): if given,
-    only pairs of the same group are multiplied."""
+    """How many correlated residuals, (n,) or (n, channels), tell as much as one independent one: 1 + 2 sum of rho(lag),
+    the autocorrelation; 1 at least. The sum begins at lag 1 and ends at `longest`, at the first rho below `least`, or
+    at a lag of `window` times half of 1 + 2 sum so far, the correlation length (Sokal). group (n,): if given, only
+    pairs of the same group are multiplied."""
     power = float(np.sum(residuals**2))
     if power <= 0.0:
         return 1.0
@@ -67,10 +67,10 @@ def less_its_trend(t: Array, values: Array, order: int = 1) -> Array:
 
 
 def remembered(rests: Sequence[Array], order: int = 1) -> tuple[float, float]:
-    """Fits first-order autoregressive noise: returns its correlation from one frame to the next, and its standard
-    deviation. rests: what was seen in each of several rests, (n, k) frames by channels, less its own trend of this
-    order (`less_its_trend`). As taking the trend off removes slow noise too, much more of correlated than of white
-    noise, both numbers are corrected for that."""
+    """Fits first-order autoregressive noise. Returns its correlation from one frame to the next, and its standard
+    deviation. rests: readings of several rests, (n, k) frames by channels each, less a trend of this order
+    (`less_its_trend`). Taking off a trend removes slow noise as well, and so more of correlated than of white noise;
+    both results are corrected for that (`expected_sums`)."""
     count: Counter[int] = Counter()
     for rest in rests:
         count[len(rest)] += rest.shape[1]

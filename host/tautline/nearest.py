@@ -62,8 +62,8 @@ def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tu
 
 def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
     """(n,) Motor positions, unit of q, of a random motion between the two ends `reached`: full strokes, strokes to
-    anywhere and small loops of all sizes, _SAMPLES positions for each width of B. The same at each call. grid, width
-    (n,): the table of B."""
+    anywhere and small loops of all sizes, with _SAMPLES positions for each mean width of B. Its seed is fixed: each
+    call gives the same motion. grid, width (n,): the table of B."""
     low, high = reached
     usual = float(np.mean(width[(grid >= low) & (grid <= high)]))
     rng = np.random.default_rng(0x100B)
@@ -86,8 +86,8 @@ def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Arr
 
 
 def _elements_response(x: Array, share: Array) -> Array:
-    """(n, m) The centre coordinate of a play of each width `share` (m,), the same everywhere, along motor positions x
-    (n,) in the warp."""
+    """(n, m) The centre coordinates of m plays, of the constant widths `share` (m,), along motor positions x (n,) in
+    the warp; each play starts at its centre."""
     far = _FAR * float(np.abs(x).max() + share.max())
     ends = np.array([-far, far])
     return np.column_stack([_native.Plays(ends, np.full(2, one)).forward(x, float(x[0]))[0] for one in share])

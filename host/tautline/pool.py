@@ -121,8 +121,8 @@ class _Processes:
                 yield task[0], self._alone(function, task)
 
     def _alone(self, function: Callable[..., Any], task: Task) -> Any:
-        """Runs a task with nothing beside it and returns its result, with a new pool each time that its worker dies;
-        after _TRIES deaths returns what `died` gives."""
+        """Runs one task while no other runs, and returns its result. Where its worker dies it is run again in a new
+        pool; after _TRIES deaths the result is what `died` gives."""
         for _ in range(_TRIES):
             try:
                 return self.executor.submit(function, *task[1]).result()

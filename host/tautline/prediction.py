@@ -70,10 +70,10 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 def predict_with_sigma(
     model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None
 ) -> Prediction:
-    """As `predict`, with one standard deviation of what the sensor would show. It holds the uncertainty of B, f_remain,
-    the delay, the motor's path and, unless start_deg is given, the start within the backlash, propagated by differences
-    through the chain, and the noise. For a corrected simulator it also holds that of all its unknowns together, and
-    more where the motion is unlike those that it was fitted to."""
+    """As `predict`, with one standard deviation of what the sensor would show. It combines the sensor's noise with the
+    uncertainty of B, f_remain, the delay, the motor's path and, unless start_deg is given, the start within the
+    backlash, propagated by differences through the chain. For a corrected simulator it adds the uncertainty of all of
+    its unknowns together, and more where the motion is unlike those that it was fitted to."""
     scene = _scene_times(scene_s)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
@@ -151,8 +151,9 @@ def _noise_at(model: Model, c_deg: Array) -> Array:
 
 def _deviations_sigma(model: Model, motor: Motor, scene_s: Array, start_deg: float | None) -> Array | None:
     """(n, 1 or 3) One standard deviation of the prediction at scene times (n,), s, by all of a corrected simulator's
-    unknowns together. Each pair of `deviations` is one independent direction, one sigma either way: half of what the
-    two models predict apart, root of the sum of squares over the pairs. None where the model has no pairs."""
+    unknowns together. Each pair of `uncertainty.deviations` holds two models, one sigma either way in an independent
+    direction: half the difference of their predictions, summed as squares over the pairs. None where the model has no
+    pairs."""
     pairs = model.uncertainty.deviations
     if not pairs:
         return None
@@ -175,9 +176,9 @@ def _discrepancy_sigma(model: Model, path: MotorPath, motor: Motor, scene_s: Arr
 
 
 def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
-    """(grid,) By how much, unit of q, the fitted B is larger where the delay is larger by delay_sigma_s, its own sigma,
-    s: with few speeds of the motor the errors of both correlate. As it is a part of `width_sigma` it is cut to that; 0
-    where the model does not tell it or delay_sigma_s is 0 or infinite."""
+    """(grid,) By how much, unit of q, the fitted B grows at each node where the delay grows by delay_sigma_s, s, its
+    standard deviation: if the motor had few speeds, the errors of B and the delay correlate. Clipped to +-width_sigma,
+    of which it is a part; 0 where the model does not know it, or delay_sigma_s is 0 or infinite."""
     by_delay = model.uncertainty.width_by_delay
     if by_delay is None or not 0.0 < delay_sigma_s < np.inf:
         return np.zeros_like(model.width)

@@ -156,9 +156,9 @@ class Recording(Value):
 
 
 def load(path: str | Path, rig: Rig | None = None) -> Recording:
-    """Reads a recording's folder. rig: used in place of a rig.toml in the folder, which is the result's `rig` all the
-    same. TautError, with file, line and column, where a file cannot be read, no rig is there, nothing shows the tip, or
-    times do not overlap the motor's."""
+    """Reads a recording's folder. rig: used in place of a rig.toml in the folder; the result's `rig` is the folder's
+    own all the same, None without one. TautError, with file, line and column, where a file cannot be read, no rig is
+    known, nothing shows the tip, or times do not overlap the motor's."""
     folder = _folder(path)
     _check_links(folder)
     warnings: list[str] = []
@@ -200,8 +200,8 @@ def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Record
 
 
 def told_apart(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings with unique names, by which onsets, offsets and reports tell them apart: one whose name another
-    one before it has gets a number behind it, as in "NAME (2)"."""
+    """The recordings with unique names, as onsets, offsets and reports identify them by name: a number is put behind a
+    name that an earlier one has, as in "NAME (2)"."""
     told: list[Recording] = []
     for recording in recordings:
         taken = {other.name for other in told}
@@ -399,7 +399,8 @@ def _check_motor_times(t_s: Array, name: str, at: Callable[[int], str]) -> None:
 
 
 def _folder(path: str | Path) -> Path:
-    """The path of a recording's folder. TautError where there is none, or it is a file or a model."""
+    """The path of a recording's folder. TautError where there is no such folder, or it is a file or a model's
+    folder."""
     folder = Path(path)
     if not folder.exists():
         raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")

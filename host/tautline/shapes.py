@@ -76,8 +76,8 @@ class Library:
 
     @classmethod
     def load(cls, folder: str | Path) -> Library:
-        """Reads a library's index; models are read when they are asked for. TautError where there is none, or it is
-        damaged."""
+        """Reads a library's index; the models are read only when asked for. TautError where the folder has no index, or
+        a damaged one."""
         folder = Path(folder)
         index = folder / INDEX
         try:
@@ -134,8 +134,8 @@ class Library:
         return made
 
     def own(self, model: Model) -> Shape | None:
-        """The shape whose model this is, by all that its tables are made of (`tables.model_id`); None where it is none
-        of the library's."""
+        """The shape whose model this is: the one from which the same tables are made (`tables.model_id`). None where it
+        is not in the library."""
         wanted = tables.model_id(model)
         return next((s for s in self.shapes if tables.model_id(self.model(s.name)) == wanted), None)
 

@@ -113,8 +113,8 @@ def encode(
     instrument: str | None = None,
     joints: Mapping[str, Joint] | None = None,
 ) -> bytes:
-    """The model's blob for `axis`, with the sections that undo its effects, or a TautError that says why a board would
-    refuse it.
+    """Encodes the model as a blob for `axis`, with the sections that undo its effects. TautError, which says why, where
+    a board would refuse it.
 
     limits: of the compensator, default moderate ones; kind: a key of KINDS; created_s: since 1970, default now; joints:
     which axis of the board moves a column that couples in, by column. instrument: the serial of the one that it was

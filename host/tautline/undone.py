@@ -178,9 +178,10 @@ def _pressed_section(
     model: Model,
     count: float,
 ) -> dict[str, Section]:
-    """Section `pressed`: which share, Q16, of what sections `sides` and `speed` add to the width goes with the place as
-    B does, and the mean of B over the grid, Q8 counts. {} where no such share is above 0 or there is no B. asymmetry,
-    speed: parameters of these two effects; beside: the sections made so far; count: unit of q per Q8 count."""
+    """Section `pressed`: the mean of B over the grid, Q8 counts, and the shares, Q16, of the widths that sections
+    `sides` and `speed` add which are proportional to B at the place rather than the same everywhere. {} where all
+    shares are 0 or there is no B. asymmetry, speed: parameters of the two effects; beside: the sections made so far;
+    count: unit of q per Q8 count."""
     shares = {"sides": asymmetry.get("asymmetry_pressed", 0.0), "speed": speed.get("speed_pressed", 0.0)}
     between = 0.5 * (model.width[1:] + model.width[:-1])
     mean = round(float(np.average(between, weights=np.diff(model.q))) / count)

@@ -49,8 +49,8 @@ class MotorPath:
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of what third differences take for white noise on the path itself, at its readings' times
-        (`reading_noise` of `sampled`), unit of q."""
+        """Standard deviation of white noise on the path's own positions at the readings' times (`reading_noise` of
+        `sampled`), unit of q: what of the readings' noise is left in the path."""
         return reading_noise(self.sampled)
 
     def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:

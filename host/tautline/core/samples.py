@@ -34,10 +34,10 @@ _EVEN = 0.25  # tolerance: of the usual gap, by which an even one differs from i
 
 
 def noise_of(t: Array, y: Array, least: float) -> float:
-    """Standard deviation of white noise, per coordinate, on samples y (n, channels: 2 px or 1 deg) at times t (n,), s:
-    from third differences, of which a smooth motion has next to none, between frames at equal steps. At least a
-    rounding sensor's step / sqrt(12), and `least`. For fewer than _TELL_NOISE frames a usual value (_USUAL_PX,
-    _USUAL_DEG)."""
+    """Standard deviation, per coordinate, of white noise on samples y (n, channels: 2 px or 1 deg) at times t (n,), s.
+    It comes from third differences between frames at equal steps, which are next to nothing for a smooth motion, and is
+    at least `least` and a rounding sensor's step / sqrt(12). For fewer than _TELL_NOISE frames it is a usual value
+    (_USUAL_PX, _USUAL_DEG)."""
     if len(t) < _TELL_NOISE:
         return max(least, _USUAL_PX if y.shape[1] == 2 else _USUAL_DEG)
     runs = even_runs(t, 3)
@@ -59,9 +59,9 @@ def period_s(t: Array) -> float:
 
 
 def waits_s(t: Array) -> Array:
-    """(n,) By how much later, s, each sample arrived than those around it, if all were taken at even times. It is the
-    arrival t (n,) less an even clock's time. The clock goes through the least late of _WAITING samples from this one
-    on, or of as many up to it, whichever is later: a lost sample delays all after it."""
+    """(n,) By how much later, s, each sample arrived than an even clock would have it: arrival times t (n,), s, less
+    that clock's. It runs at `period_s` through the least late of _WAITING samples, of those from this one on or of
+    those up to it, whichever is later: a lost sample delays all after it."""
     late = t - period_s(t) * np.arange(len(t))
     ways = -(_WAITING // 2), (_WAITING - 1) // 2  # of the filter: windows that begin and end at a sample
     onward, up_to = (minimum_filter1d(late, _WAITING, mode="nearest", origin=way) for way in ways)
@@ -103,11 +103,11 @@ def even_runs(t: Array, count: int) -> Mask:
 
 
 def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
-    """(n,) Which frames show something else than the tip: y (n, channels) at times t (n,), s. First those that are
-    elsewhere for one or two frames: far from the median of _MEDIAN frames beside the noise and the usual steps there. A
-    jump that stays is none, nor is a motion that goes one way. The search is repeated without the strays found, as
-    several close together look like motion. Then those that are elsewhere for a while (`_frames_off_tip`). path: of the
-    motor; sigma: the noise of a coordinate."""
+    """(n,) Which frames, y (n, channels) at times t (n,), s, show something else than the tip. First, frames that are
+    elsewhere for one or two frames: farther from the median of _MEDIAN frames than noise and the usual steps there
+    explain. A jump that stays is no stray, nor is a motion that goes one way. The search is repeated without the strays
+    found, as several close together look like motion. Then frames that are elsewhere for a while (`_frames_off_tip`).
+    path: of the motor; sigma: the noise of a coordinate."""
     stray = np.zeros(len(y), dtype=bool)
     kept = np.arange(len(y))
     while len(kept) >= _MEDIAN:

@@ -26,9 +26,9 @@ def topics() -> Mapping[str, Topic]:
 
 
 def find(name: str) -> Topic:
-    """The topic that `name` means: its code, an alias or the last part of one code alone, in upper or lower case;
-    `simulator.` and any parameter means the one topic of all. TautError, which names the nearest codes, where there is
-    none."""
+    """The topic of a name, in upper or lower case: a code, an alias, or the last part of a code if no other code ends
+    so. Any name that begins with "simulator." has one and the same topic. TautError, which names the nearest codes,
+    where there is none."""
     known = topics()
     wanted = name.strip().strip("[]").casefold()
     if wanted.startswith("simulator."):

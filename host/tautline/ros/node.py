@@ -109,8 +109,9 @@ class Node:
             self._pending_rad = position
 
     def _ros_time_ns(self, t_us: float) -> int:
-        """ROS time, ns, of a board time, us. The board's clock is aligned with this host's monotonic one, so the ROS
-        clock is read between two readings of that: _CLOCK_READS times, of which the quickest counts."""
+        """Converts a board time, us, to ROS time, ns, by this host's monotonic clock, which the board's clock is
+        aligned with. The ROS clock is read between two readings of the monotonic one, _CLOCK_READS times; the quickest
+        of these counts."""
         clock = self._graph.node.get_clock()
         reads = [(time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()) for _ in range(_CLOCK_READS)]
         before, now, after = min(reads, key=lambda read: read[2] - read[0])
