@@ -92,7 +92,7 @@ class Columns:
     def drop_truncated(self, required: Sequence[str]) -> None:
         """Removes, with a warning, a last line that was cut while it was written. Does nothing where that line is ended
         or is the only one. A line counts as cut if it has fewer cells than there are columns, if its last cell has
-        fewer decimals than those of the ten lines before it where these agree, if its time is not later than the one
+        fewer decimals than those of up to ten lines before it where these agree, if its time is not later than the one
         before, or if one of its `required` cells is no finite number. The file must have a column t_s."""
         if self.terminated or len(self) < 2:
             return

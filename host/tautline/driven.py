@@ -112,9 +112,9 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
 
 
 def change_factors(order: int, steps: Array) -> Array:
-    """(n - order, order + 1) The factors of order + 1 neighbouring positions whose sum is the change of speed (order 2)
-    or of acceleration (order 3) there, in a unit of time: `order`! times a divided difference. steps (n - 1,): times
-    between the nodes."""
+    """(n - order, order + 1) The factors of order + 1 neighbouring positions with which their weighted sum is the
+    change of speed (order 2) or of acceleration (order 3) there, per unit of time: `order`! times a divided difference.
+    steps (n - 1,): times between the nodes."""
     many = len(steps) - order + 1
     at = list(accumulate((steps[j : j + many] for j in range(order)), initial=np.zeros(many)))
     products = [math.prod(one - other for other in at if other is not one) for one in at]

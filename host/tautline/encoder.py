@@ -175,9 +175,8 @@ def between_samples(motor: Motor) -> float:
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
     longer, shorter = np.maximum(share, 1.0 - share), np.minimum(share, 1.0 - share)
     off_chord = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2]))
-    sagitta = (
-        off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)
-    )  # equation: h^2 / 8 over h1 h2 / 2
+    # equation: h^2 / 8 over h1 h2 / 2, h being the longer gap
+    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)
     return float(max(float(np.quantile(sagitta, _SHARPEST)) - _BENT_BY_NOISE * reading_noise(motor), 0.0))
 
 

@@ -131,9 +131,8 @@ def merged_elements(width: Array, weight: Array) -> Elements:
     weight = weight / weight.sum()
     sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
     ends = _least_scatter_runs(sums)
-    parts = [
-        (sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)
-    ]  # of each run: sums of weight and of weight times width
+    # Of each run: the sums of its weights, and of its weights times widths.
+    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
     means = np.array([first / w for w, first in parts])
     shares = np.array([w for w, _ in parts])
     keep = np.concatenate([[True], np.diff(means) > 1e-9])

@@ -80,9 +80,8 @@ def predict_with_sigma(
     model_sigma = _model_sigma(model, path, scene, start_deg)
     if (apart := _deviations_sigma(model, motor, scene, start_deg)) is not None:
         model_sigma = np.hypot(model_sigma, apart)
-    noise = np.hypot(
-        _noise_at(model, told.c_deg), _discrepancy_sigma(model, path, motor, scene)
-    )  # px, or deg of an angle
+    # In the sensor's unit: px, or deg of an angle.
+    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy_sigma(model, path, motor, scene))
     if told.image_px is None:
         return Prediction(told.c_deg, image_px=None, c_sigma_deg=np.hypot(model_sigma[:, 0], noise))
     steepness = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
@@ -126,9 +125,8 @@ def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float |
         return Chain(moved).at(replace(path, lines=lines), scene - delay_s, begins).rows
 
     slopes = by_differences(rows, inputs.mean, inputs.sigma)
-    slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(
-        path.sigma, 1e-300
-    )  # sigma of the motor differs from time to time
+    # The motor's sigma, in `inputs` one number, differs from time to time.
+    slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
     return inputs.spread(slopes)
 
 
@@ -187,8 +185,8 @@ def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
 
 def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
     """(n,) The part of f_remain's sigma, deg, at angles c_deg (n,), that shifts the angle and leaves the image as it
-    is: by where the place that is followed on a bare instrument lies, and by a tracker's constant error. others:
-    translation, mm, and rotation, deg."""
+    is: by what is not known of the place that is followed on a bare instrument, and by a tracker's constant error.
+    others: translation, mm, and rotation, deg."""
     of_tracker = tracked_deg(model.uncertainty.tracked_px, model.rig, c_deg, *others)
     place = model.rig.place
     return of_tracker if place is None else np.hypot(place.sigma_at(c_deg), of_tracker)

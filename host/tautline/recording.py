@@ -214,8 +214,8 @@ def told_apart(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:
-    """The recordings on the motor's clock: the times of marker and angle less the recording's offset, s, by its name in
-    offsets_s (0 where it is not named)."""
+    """The recordings with their offsets, s, by name in offsets_s (0 if not named), subtracted from the times of marker
+    and angle."""
 
     def moved(recording: Recording) -> Recording:
         """The recording with its own offset taken off the times of marker and angle."""
@@ -439,9 +439,9 @@ def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
 
 
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
-    """Reads the folder's rig.toml; None where there is none, or where it is damaged and another rig was named. rig: the
-    one that was named. warnings: gets why it was ignored, or, if it is the rig in use, keys in it that look
-    misspelt."""
+    """Reads the folder's rig.toml; None where there is none. rig: another one that was named; with it a damaged
+    rig.toml gives None and a warning, without it a TautError. warnings: gets also which keys look misspelt, if this rig
+    is the one in use."""
     path = folder / RIG_FILE
     if not path.exists():
         return None
@@ -508,8 +508,8 @@ def _sizes(marker: Marker) -> dict[str, Array]:
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:
-    """Reads angle.csv. Rows without a finite angle are not valid; `warnings` gets how many were marked as valid.
-    TautError where no row is valid."""
+    """Reads angle.csv. Rows without a finite angle are taken as not valid; `warnings` gets how many there are that were
+    not marked so. TautError where no row is valid."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header())
     t_s = columns.rising_times()
     c_deg = columns.raw("c_deg")

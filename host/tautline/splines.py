@@ -89,8 +89,8 @@ class Basis:
 
     @cached_property
     def _powers(self) -> Array:
-        """(4, spans, size) By how much each coefficient adds to a span's polynomial: to the factors of the third to the
-        zeroth power of x less the span's begin."""
+        """(4, spans, size) What each coefficient contributes to a span's polynomial: to the factors of the third,
+        second, first and zeroth power of x less the span's start."""
         spline, begins = BSpline(self.knots, np.eye(self.size), 3), self.knots[3:-4]
         return np.stack([spline(begins, power) / math.factorial(power) for power in (3, 2, 1, 0)])
 

@@ -225,9 +225,9 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
 
 
 def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
-    """How large the error of the warp is that is linear between nodes (one period should be 1), over the error that is
-    allowed, where B is wider than `narrow`; up to 1 it is accurate enough. q, width (n,): nodes and B, Q8 counts;
-    centre (n,): the warp at the nodes, in periods."""
+    """The largest error of the warp, interpolated linearly between nodes (a period should be 1), relative to the error
+    that is allowed, where B is wider than `narrow`: at most 1 is accurate enough. q, width (n,): nodes and B, Q8
+    counts; centre (n,): the warp at the nodes, in periods."""
     floored = np.maximum(width, narrow)
     up_at, down_at = q + 0.5 * floored, q - 0.5 * floored  # where the motor pushes p = q up, and down
     motor = np.linspace(up_at[0], down_at[-1], 4 * len(q))

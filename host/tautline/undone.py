@@ -178,10 +178,10 @@ def _pressed_section(
     model: Model,
     count: float,
 ) -> dict[str, Section]:
-    """Section `pressed`: the mean of B over the grid, Q8 counts, and the shares, Q16, of the widths that sections
-    `sides` and `speed` add which are proportional to B at the place rather than the same everywhere. {} where all
-    shares are 0 or there is no B. asymmetry, speed: parameters of the two effects; beside: the sections made so far;
-    count: unit of q per Q8 count."""
+    """Section `pressed`: the mean of B over the grid, Q8 counts, and, of the widths that sections `sides` and `speed`
+    add, the shares, Q16, that are larger or smaller from place to place as B is. {} where all shares are 0 or there is
+    no B. asymmetry, speed: parameters of the two effects; beside: the sections made so far; count: unit of q per Q8
+    count."""
     shares = {"sides": asymmetry.get("asymmetry_pressed", 0.0), "speed": speed.get("speed_pressed", 0.0)}
     between = 0.5 * (model.width[1:] + model.width[:-1])
     mean = round(float(np.average(between, weights=np.diff(model.q))) / count)
@@ -196,7 +196,7 @@ def _late_section(v: Mapping[str, float]) -> Section:
     up to a share _CREEP_MOST; its slow part is _SLOWER times slower (effects/creep.c). {} without both. v: parameters
     of both effects."""
     lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
-    above, below = np.poly1d([1.0]), np.poly1d([1.0])  # numerator and denominator of the inverse, in s
+    above, below = np.poly1d([1.0]), np.poly1d([1.0])  # the inverse's numerator and denominator, of Laplace's s
     filtered = 0.0
     for stage in sorted([lag * second, lag * (1.0 - second)]):
         if stage > 0.0:

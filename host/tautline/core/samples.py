@@ -128,10 +128,10 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
 
 def _frames_off_tip(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     """(n,) Frames between two jumps at which y (n, channels) shows something else than the tip for a while: a place
-    where the tip never is, as when a tracker was on another blob, or a sensor's spike (`_spikes`). A jump is more than
-    the tip goes in a few frames then, and than the motor's quickest makes it go. A tip that snaps goes along its path
-    and comes back when its motor does: it is no stray. path: of the motor; t (n,): times, s; sigma: the noise of a
-    coordinate."""
+    where the tip never is, as when a tracker was on another blob, or a sensor's spike (`_spikes`). A jump is farther
+    than the tip goes in _STEEP frames, both about that time and at the motor's greatest speed. A tip that snaps goes
+    along its path and comes back when its motor does: it is no stray. path: of the motor; t (n,): times, s; sigma: the
+    noise of a coordinate."""
     away = np.zeros(len(y), dtype=bool)
     if len(y) < FEW:
         return away
