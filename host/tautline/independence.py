@@ -87,10 +87,11 @@ def expected_sums(n: int, order: int = 1) -> Array:
     """(2, len(MEMORIES)) For n samples of first-order autoregressive noise of variance 1, less their trend of this
     order: the expected sum of squares, and of products of neighbours, for each correlation rho of MEMORIES."""
     trend = _orthonormal(np.arange(n, dtype=float), order)
-    # The noise's covariance is rho^|i - j|; times the trend it is a recursion from either end; both have the diagonal.
+    # Noise x, of covariance C = rho^|i - j|, less its trend is (I - P) x, P = trend trend^T. C trend is the sum of two
+    # recursions, from either end, which both count the diagonal.
     both_ways = np.hstack([trend, trend[::-1]])
     sums = np.stack([first_order_sums(both_ways, rho) for rho in MEMORIES])
-    covered = sums[:, :, : order + 1] + sums[:, ::-1, order + 1 :] - trend  # (memories, n, order + 1)
+    covered = sums[:, :, : order + 1] + sums[:, ::-1, order + 1 :] - trend  # C trend, (memories, n, order + 1)
     of_trend = trend.T @ covered
     neighbours = trend[:-1] * covered[:, 1:] + covered[:, :-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:]
     squares = n - np.trace(of_trend, axis1=1, axis2=2)

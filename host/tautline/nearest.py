@@ -162,8 +162,8 @@ def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
                 (cost + scatter(begin, end), (*ends, end))
                 for begin in range(runs - 1, end)
                 if (known := best.get((runs - 1, begin))) is not None
-                for cost, ends in (known,)  # the first run has to weigh _FIRST
-                if runs > 1 or sums[0, end] >= _FIRST
+                for cost, ends in (known,)
+                if runs > 1 or sums[0, end] >= _FIRST  # the weight of the first run
             ]
             if tried:
                 best[runs, end] = min(tried)

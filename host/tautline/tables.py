@@ -198,8 +198,8 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
     if elements.single:
         return None
     ends = np.rint(np.cumsum(elements.weight) * _WEIGHT).astype(int)
-    weight_q16 = np.diff(ends, prepend=0)  # whole, and their sum as well
-    width_share = np.array(elements.width) * _WEIGHT / (weight_q16 @ np.array(elements.width))  # of B: mean 1 by these
+    weight_q16 = np.diff(ends, prepend=0)  # whole numbers that sum to _WEIGHT exactly
+    width_share = np.array(elements.width) * _WEIGHT / (weight_q16 @ np.array(elements.width))  # mean 1 by weight_q16
     narrow = model.play.narrow / unit
     while narrow < width.max():
         warp = warp_of(model.q, model.width, narrow * unit)
