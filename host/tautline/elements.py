@@ -159,7 +159,7 @@ def _knots_in_one_period(table: _Periods, first: float, last: float) -> Array:
     corners = table.into_period(table.left, first, last)
     knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
     knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]
-    return knots[:-1] if last - knots[-1] < _SAME * (last - first) else knots
+    return np.asarray(knots[:-1] if last - knots[-1] < _SAME * (last - first) else knots)
 
 
 def _with_least_width(grid: Array, width: Array, narrow: float) -> tuple[Array, Array]:
