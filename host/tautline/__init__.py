@@ -108,12 +108,13 @@ __all__ = ["__version__", *_PUBLIC]
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, whose module is imported when the name is first asked for: `taut --help` needs none of them."""
+    """Returns a public name of the package and imports its module only when the name is first asked for, so that `taut
+    --help` loads none of them. AttributeError for any other name."""
     if name not in _PUBLIC:
         raise AttributeError(f"module 'tautline' has no attribute {name!r}")
     return getattr(import_module(f"tautline.{_PUBLIC[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    """The public names, those too whose modules have not been imported yet."""
+    """The public names, including those whose modules have not been imported yet."""
     return sorted(__all__)

@@ -43,17 +43,18 @@ _log = logging.getLogger(__name__)
 
 
 def _silent(share: float, what: str) -> None:
-    """The progress of a caller who gave none: logs the share done, 0 to 1, and what is being done."""
+    """The `progress` of a caller that gives none: logs, at level debug, the share that is done, 0 to 1, and what is
+    being done."""
     _log.debug("%3.0f %%: %s", 100.0 * share, what)
 
 
 def load(path: str | Path, rig: Rig | str | Path | None = None, progress: Progress = _silent) -> Recording:
-    """A recording from its folder; where it holds a video and no marker.csv, the marker is tracked.
+    """Loads a recording from its folder. If it holds a video and no marker.csv, the marker is tracked in the video.
 
     Shapes: motor.t_s and motor.q are (n,); marker.t_s, u_px, v_px, valid (m,); angle.t_s, c_deg (k,).
     Units: t_s in s on one clock, arrival times for marker and angle; q in mm or deg as the rig says; c_deg in deg.
     Errors: TautError names file, line and column of what cannot be read, a missing rig, or a video without a marker.
-        What was mended is told in `.warnings`.
+        What was mended is told in `.warnings`, and logged.
     Source: the files of docs/files.md; the tracker of docs/marker.md.
 
     path: the folder. rig: a Rig or its file; it wins over the folder's own rig.toml and is the result's `.rig`.
@@ -72,15 +73,15 @@ def load(path: str | Path, rig: Rig | str | Path | None = None, progress: Progre
 
 
 def propose_import(source: str | Path, *, time: str = "", episode: int = 0, progress: Progress = _silent) -> Proposal:
-    """Which channel of another program's file is motor, tip, command, load and video: nothing is written.
+    """Proposes which channels of another program's file are motor, tip, command, load and video. It writes nothing.
 
     Shapes: none; `.motor`, `.tip`, `.command`, `.load` have each a `.name` and a `.unit`, `.tip` one or two of them.
     Units: `.unit` is that of q, mm or deg; each channel's own is what the file says or, by `.notes`, a guess.
-    Errors: TautError for what is no file of these kinds, is cut short or empty, or whose library is not installed.
-    Source: docs/import.md: what moves together, and which of two is later; names decide between equals.
+    Errors: TautError for a file of another kind, one that is cut short or empty, or one whose library is not installed.
+    Source: docs/import.md: of two channels that move together the later one is the tip; names decide between equals.
 
-    source: an MCAP file, a ROS 1 bag, a rosbag2 folder, a LeRobot folder or a CSV. time: a CSV's column of times.
-    episode: of a data set.
+    source: an MCAP file, a ROS 1 bag, a rosbag2 folder, a LeRobot folder or a CSV. time: name of a CSV's column of
+    times; by default the one that rises. episode: the number of the data set's episode that is looked at.
     """
     from tautline.io import importing
 
@@ -103,18 +104,19 @@ def import_recording(
     episode: int | None = None,
     progress: Progress = _silent,
 ) -> list[Imported]:
-    """Recordings out of another program's file, as `taut import` writes them.
+    """Writes recordings made of another program's file, as `taut import` does.
 
-    Shapes: one Imported for each recording that was written: `.folder`, `.rows` of motor.csv, `.warnings`. What an
-        episode was left out for is logged as a warning, and kept in import.toml.
+    Shapes: one Imported for each recording that was written: `.folder`, `.rows` of motor.csv, `.warnings`. Why an
+        episode was left out is logged as a warning, and kept in import.toml.
     Units: a channel is NAME, NAME:UNIT (rad, m, Nm, tick, ...) or NAME:FACTOR; q is written in `unit` or the rig's.
-    Errors: TautError where a channel is missing, empty or, by a ratio, in another unit than was said, where times are
-        those of two clocks, and for a file that is cut; nothing is written then.
+    Errors: TautError where a channel is missing, empty or, as the ratio of motor and tip shows, in another unit than
+        was stated, where times are those of two clocks, and for a file that is cut; nothing is written then.
     Source: docs/import.md; the files of docs/files.md and import.toml, which says where each number came from.
 
-    source: as propose_import's. folder: of the recording, or of the recordings where a data set has several episodes
-    and episode names none. tip: one angle or orientation, or u and v in px. command, load, video, joints: further
-    channels. time: a CSV's column of times. rig: written beside each recording; default what they show of it.
+    source: as propose_import's. folder: of the recording, or of all recordings where a data set has several episodes
+    and `episode` is None. tip: one angle or orientation, or u and v in px. command, load, video, joints: further
+    channels. time: a CSV's column of times. rig: written beside each recording; by default one with the range,
+    smallest step and slope that the recording shows.
     """
     from tautline.io import importing
 
@@ -137,7 +139,7 @@ def calibrate(
     remaining: Literal["direct", "morphological"] = "direct",
     progress: Progress = _silent,
 ) -> Calibration:
-    """B(q), f_remain and the sensor's delay from recordings of any motion of one instrument.
+    """Estimates B(q), f_remain and the sensor's delay from recordings of any motion of one instrument.
 
     Shapes: `.model.q`, `.width`, `.width_sigma`, `.c_deg` and `.c_sigma` are (n,), on one grid over the motor's range.
     Units: q and widths in the rig's unit, c in deg, delay in s; sigmas are one standard deviation, model error
@@ -153,7 +155,7 @@ def calibrate(
     from tautline.calibration.calibrate import calibrate as calibrated
     from tautline.calibration.options import Options
 
-    several, used = _evidence(recordings, rig)
+    several, used = _recordings_and_rig(recordings, rig)
     found = calibrated(several, used, Options(knots=knots, remaining=remaining), progress)
     for note in found.notes:
         _log.info("%s", note)
@@ -165,10 +167,10 @@ def calibrate(
 
 
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
-    """Where the tip was, by the model and the motor's motion alone.
+    """Predicts where the tip was from the model and the motor's motion alone.
 
-    Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera; as they are
-        `.c_sigma_deg` and `.image_sigma_px`, one standard deviation of what the sensor would show, its noise included.
+    Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera; of the same
+        shapes `.c_sigma_deg`, `.image_sigma_px`: one standard deviation of what the sensor would show, noise included.
     Units: scene_s in s on the motor's clock, which is arrival time less `model.delay_s`; start_deg and c in deg; px.
     Errors: TautError where the motor lacks a column that one of the model's effects needs, or its times do not rise. A
         place where the marker cannot be is NaN.
@@ -186,7 +188,7 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 def encode(
     model: Model, axis: int = 0, *, limits: Limits | None = None, kind: str = "bending", instrument: str | None = None
 ) -> bytes:
-    """The model's table as a board takes it, by `taut flash` or any DFU tool.
+    """Encodes the model as a board's table, which `taut flash` or any DFU tool writes to the board.
 
     Shapes: at most 257 nodes over the motor's range, 1.4 kB (2.5 kB with several plays).
     Units: of the result: Q8 encoder counts and Q16 deg; limits in the rig's unit, s.
@@ -212,7 +214,7 @@ def compensate(
     start_deg: float | None = None,
     progress: Progress = _silent,
 ) -> SetPoints:
-    """Motor set-points that lead the tip along a trajectory: the board's own fixed-point code, run here.
+    """Computes motor set-points that lead the tip along a trajectory, by the board's own fixed-point code, run here.
 
     Shapes: t_s and c_deg (n,), straight lines between them; the result's t_s, q, clipped (m,), m = duration x rate_hz.
     Units: t_s in s, rising; c_deg and start_deg in deg; q in the rig's unit; rate_hz 16 to 100 000.
@@ -221,9 +223,8 @@ def compensate(
     Source: q* = p* + B(p*)/2 while p* = f^-1(c*) rises, p* - B(p*)/2 while it falls, unchanged at rest (eq. 9 with its
         signs put right); firmware/estimator/tl_compensator.h.
 
-    Each set-point knows the trajectory up to its own time only. mode: off is the inverse of the model's f_coarse,
-    backlash that with B, full f_remain's with B. The tip starts at rest on the centre line at start_deg, default
-    c_deg[0].
+    Each set-point knows the trajectory up to its own time only. mode: off inverts f_coarse alone, backlash
+    f_coarse and B, full f_remain and B. The tip starts at rest on the centre line at start_deg, default c_deg[0].
     """
     from tautline.compensation import compensate as compensated
 
@@ -231,7 +232,7 @@ def compensate(
 
 
 def track(model: Model, recordings: Recording | Sequence[Recording], progress: Progress = _silent) -> Tracked:
-    """How the model would have been kept calibrated while the instrument was used: recordings, in turn, frame by frame.
+    """Replays recordings frame by frame, in turn: how a tracker would have kept the model calibrated during use.
 
     Shapes: `.rows` has one row for each frame (or angle), `.t_s`, `.column(name)` and `.recording` are (n,).
     Units: t_s in s, arrival times; offset in the rig's unit, scale in shares of B, c in deg, u and v in px.
@@ -252,7 +253,7 @@ def diagnose(
     rig: Rig | None = None,
     progress: Progress = _silent,
 ) -> Diagnosis:
-    """Where model and instrument part, which effect is the cause, and how far the gap shrinks with it.
+    """Finds where model and instrument differ, which effect causes it, and how far the gap shrinks with that effect.
 
     Shapes: `.before` and `.after` hold for each test the residuals (frames, 2) in px, or (samples, 1) in deg.
     Units: of every gap px where a marker was recorded, else deg; probabilities and shares 0 to 1.
@@ -261,7 +262,7 @@ def diagnose(
     Source: docs/diagnosis.md: the nominal model and one effect after the other fitted together, judged on blocks that
         the fit did not see. `.document` is diagnosis.json (docs/files.md).
 
-    calibration may be a simulator's recording and tests the robot's: what it says is then what the simulator lacks.
+    calibration may be a simulator's recording and tests the robot's: the diagnosis then says what the simulator lacks.
     `.verdict`, `.findings`, `.gap` and `.probabilities` say what was found, `.document` all of it as diagnosis.json has
     it; `.corrected` is the model with the effects that were named. rig: default the calibration's.
     """
@@ -271,7 +272,7 @@ def diagnose(
     tests = _listed(tests)
     if not tests:
         raise TautError("no test: give one recording or more that the calibration was not made from")
-    several, used = _evidence([calibration, *tests], rig)
+    several, used = _recordings_and_rig([calibration, *tests], rig)
     first, on_one_clock = calibrated(several, used, lambda share, what: progress(_BEFORE * share, what))
     found = diagnosed(
         first.model,
@@ -291,15 +292,15 @@ def diagnose_simulator(
     progress: Progress = _silent,
     workers: int = 1,
 ) -> Diagnosis:
-    """What a simulator of your own lacks, and which of its parameters are not the robot's, with their values.
+    """Finds what a simulator of your own lacks, and which of its parameters differ from the robot's, with both values.
 
     Shapes: as diagnose's; `.document["simulator"]["parameters"]` has name, unit, nominal and value of what was named,
         `["step"]` what the simulator errs by at its own step of time, where that shows beside the noise.
     Units: those that the simulator declares; gaps in px or deg as diagnose's.
-    Errors: TautError where a recording has nothing to compare, where nothing can be scored, and for what the simulator
-        gives that is no angle.
+    Errors: TautError where a recording has nothing to compare, where nothing can be scored, and where the simulator
+        gives something else than angles.
     Source: docs/diagnosis.md: the simulated tip takes the motor's place, with no backlash and f_remain = f_coarse; the
-        library's effects act on it, and the simulator's parameters are further ones, differentiated by differences.
+        library's effects act on it, and the simulator's parameters are further unknowns, by finite differences.
 
     simulator: tautline.simulators.mjcf.simulator(FILE, ACTUATOR, TIP), or a tautline.simulators.Simulator around any
     function. robots: with the motor's log or command, and what was seen. rig: default the recordings' own. workers:
@@ -307,7 +308,7 @@ def diagnose_simulator(
     """
     from tautline.diagnosis.simulated import diagnose_simulator as diagnosed
 
-    several, used = _evidence(robots, rig)
+    several, used = _recordings_and_rig(robots, rig)
     return diagnosed(simulator, several, used, progress, workers)
 
 
@@ -325,8 +326,8 @@ def report(
     Source: the figures of a page are those of the paper's Figs. 7 to 11; docs/files.md lists the files.
 
     A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take, with the motion
-    that would measure the rest of the range where there is one (next_motion.csv); a model the same without measured
-    frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
+    that would measure the rest of the range where there is one (next_motion.csv); a Model becomes one too, its
+    page without measured frames; a diagnosis becomes its DIR (diagnosis.json, corrected/, nominal/).
     """
     from tautline.diagnosis.diagnose import Diagnosis
     from tautline.live import closing
@@ -353,11 +354,11 @@ def plot(
     result: Calibration | Model | Diagnosis | Mapping[str, Model],
     recordings: Recording | Sequence[Recording] = (),
 ) -> Figure:
-    """The picture of a result, as its page shows it first: a matplotlib figure to show, change or save.
+    """Draws the first picture of a result's page, as a matplotlib figure to show, change or save.
 
     Shapes: none; recordings: those that a calibration was made from, to draw what was seen behind the curves.
     Units: as in the result.
-    Errors: TautError where a recording cannot be read, and for models by name that are none or of two units.
+    Errors: TautError where a recording cannot be read, and for a mapping that is empty or has models of two units.
     Source: B(q), its widths and the characteristic as in the paper's Figs. 7 to 9; of a diagnosis what both models
         leave over the session's time; of several models by name how they differ.
     """
@@ -412,22 +413,22 @@ def export(
 
 
 def _listed(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    """One recording or several as a list."""
+    """The argument as a list: a single recording becomes a list of one."""
     return [recordings] if isinstance(recordings, Recording) else list(recordings)
 
 
 def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    """The recordings as a list, told apart by their names as the commands do it. TautError for what no file could
-    hold."""
+    """The recordings as a list, with names made unique as the commands do it (`recording.told_apart`). TautError for a
+    recording that no file could hold (`recording.check`)."""
     several = _listed(recordings)
     for recording in several:
         recordings_room.check(recording)
     return recordings_room.told_apart(several)
 
 
-def _evidence(recordings: Recording | Sequence[Recording], rig: Rig | None) -> tuple[list[Recording], Rig]:
-    """The recordings as a list, and the rig that holds for all of them (`_rig_of`). TautError also where a recording is
-    given twice."""
+def _recordings_and_rig(recordings: Recording | Sequence[Recording], rig: Rig | None) -> tuple[list[Recording], Rig]:
+    """The recordings as a list, and the one rig that holds for all of them (`_rig_of`). TautError as `_several` and
+    `_rig_of` raise it, and where a recording is given twice."""
     several = _several(recordings)
     used = _rig_of(several, rig)
     recordings_room.check_distinct(several)
@@ -435,7 +436,8 @@ def _evidence(recordings: Recording | Sequence[Recording], rig: Rig | None) -> t
 
 
 def _rig_of(recordings: Sequence[Recording], rig: Rig | None) -> Rig:
-    """The rig that was named, else that of the recordings. TautError where none has one, or two have different ones."""
+    """`rig` if it is given, else the recordings' own. TautError where no recording has one, or two have different
+    ones."""
     if rig is not None:
         return rig
     rigs = [recording.rig for recording in recordings if recording.rig is not None]

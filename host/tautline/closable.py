@@ -9,13 +9,13 @@ class Closable:
     """Its `close` is called when the block of a `with` ends, however it ends."""
 
     def close(self) -> None:
-        """Gives up what is held."""
+        """Releases what the object holds. Each subclass says how."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
-        """Itself, open as it is."""
+        """Returns the object itself, which is open already."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Closes it, also after an error, which goes on."""
+        """Closes the object, also after an error, which is then raised further."""
         self.close()

@@ -38,21 +38,22 @@ class Columns:
         return len(self.index)
 
     def keep(self, rows: slice | Array) -> None:
-        """Leaves out all rows but these: a slice, or (n,) bool."""
+        """Removes all rows but these, in place. rows: a slice, or a mask (n,) bool."""
         self.cells = {name: cells[rows] for name, cells in self.cells.items()}
         self.index = self.index[rows]
 
     def line(self, row: int) -> int:
-        """The line number in the file of a row, counted from 1."""
+        """The number, from 1, of the line in the file that holds row `row`, an index into the rows that are kept."""
         numbers = [number for number, line in enumerate(_lines(self.text), 1) if line.strip()]
         return numbers[min(int(self.index[row]) + 1, len(numbers) - 1)]  # the first of them is the header
 
     def missing(self, name: str, expected: str) -> TautError:
-        """The error of a file without the column `name`. expected: in words, what has to be there."""
+        """The error to raise where the file has no column `name`. expected: in words, what has to be there."""
         return TautError(f"{self.path}: column {name} is missing (found {', '.join(self.names)}): expected {expected}")
 
     def raw(self, name: str) -> Array:
-        """(n,) float64, NaN where the cell is empty or NaN; an error where it is not a number."""
+        """Column `name` as (n,) float64, NaN where a cell is empty or NaN. TautError, with file and line, where a cell
+        is no number."""
         column = self.cells[name]
         numbers = _numbers(column)
         for row in np.flatnonzero(np.isnan(numbers) & pd.notna(column)):
@@ -63,7 +64,8 @@ class Columns:
         return numbers
 
     def finite(self, name: str) -> Array:
-        """(n,) float64; an error where a cell is empty, NaN or infinite."""
+        """Column `name` as (n,) float64. TautError, with file and line, where a cell is empty, NaN, infinite or no
+        number."""
         values = self.raw(name)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -75,7 +77,8 @@ class Columns:
         return values
 
     def flags(self, name: str) -> Array:
-        """(n,) bool from 0/1 or true/false."""
+        """Column `name` as (n,) bool, of cells that are 0 or 1, true or false. TautError, with file and line, where one
+        is anything else."""
         column = self.cells[name]
         if column.dtype == bool:
             return column
@@ -87,12 +90,14 @@ class Columns:
         return values.astype(bool)
 
     def drop_truncated(self, required: Sequence[str]) -> None:
-        """Leaves out a last line that was cut while it was written, with a warning: one with fewer cells, with fewer
-        decimals than the dozen lines before it agree on, or without a later time and finite `required` cells."""
+        """Removes, with a warning, a last line that was cut while it was written. Does nothing where that line is ended
+        or is the only one. A line counts as cut if it has fewer cells than there are columns, if its last cell has
+        fewer decimals than those of up to ten lines before it where these agree, if its time is not later than the one
+        before, or if one of its `required` cells is no finite number. The file must have a column t_s."""
         if self.terminated or len(self) < 2:
             return
         line_end = "\n" if "\n" in self.text else "\r"
-        # 24: of the last lines every second one may be blank.
+        # 24: of the last lines every second one may be blank. The first of the twelve may be the header.
         *earlier, last = [line.split(",") for line in self.text.rsplit(line_end, 24) if line.strip()][-12:]
         decimals = {_decimals(cells[-1]) for cells in earlier[1:]}  # one number of them: a fixed format
         cut = len(last) < len(self.names) or (len(decimals) == 1 and _decimals(last[-1]) < min(decimals))
@@ -108,8 +113,9 @@ class Columns:
             self.warnings.append(f"{self.path}: the last line is cut short and was left out")
 
     def rising_times(self) -> Array:
-        """(n,) t_s, made strictly rising: rows that repeat the time before them are left out, of all columns, with a
-        warning. TautError where a time goes back, or many repeat."""
+        """(n,) t_s, s, made strictly rising: rows that repeat the time before them are removed from all columns, in
+        place, with a warning. TautError where a time goes back, or where more than one row and more than a share
+        MAX_REPEATED_TIMES of all repeat."""
         t_s = self.finite("t_s")
         step = np.diff(t_s)
         back = np.flatnonzero(step < 0)
@@ -137,7 +143,8 @@ class Columns:
 
 def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool = True) -> Columns:
     """Reads a CSV file. required: columns that it must have, besides one row at least; expected: the header line that
-    errors show; mend: leaves out a last line that was cut. TautError, with file and line, where it is no such file."""
+    errors show; mend: whether a last line that was cut is left out (`drop_truncated`). TautError, with file and line,
+    where it is no such file."""
     text, terminated = _read_text(path)
     header = re.search(r"[^\r\n]*\S[^\r\n]*", text)
     if header is None:
@@ -165,15 +172,16 @@ def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool 
 
 
 def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str], Array]:
-    """Column t_s of any CSV file, in any order and beside any other columns: its n cells as they are written, and as
-    numbers (n,), s. A last line without its end counts if its time is whole. warnings: gets one if it is not."""
+    """Reads column t_s of any CSV file, in any order and beside any other columns: returns its n cells as text and as
+    numbers (n,), s. A last line that is not ended is left out where its time may be cut; `warnings`, if given, then
+    gets a line that says so."""
     columns = read_columns(path, ["t_s"], "a column t_s", mend=False)
     index = columns.names.index("t_s")
     try:
         rows = list(csv.reader(line for line in _lines(columns.text) if line.strip()))[1 : len(columns) + 1]
     except csv.Error as error:
         raise TautError(f"{path}: cannot be read as comma-separated numbers ({error})") from error
-    # Its time may be cut, or is not there; where t_s is the last column a cut cannot be told.
+    # The last line's time may be cut, or is not there; where t_s is the last column a cut cannot be told.
     if not columns.terminated and len(rows) > 1 and len(rows[-1]) <= min(index + 1, len(columns.names) - 1):
         columns.keep(slice(-1))
         rows = rows[:-1]
@@ -184,14 +192,16 @@ def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str]
 
 
 def _with_whole_first_row(body: str, count: int) -> str:
-    """The rows with empty cells at the end of the first one up to `count`: pandas takes no row that is longer."""
+    """The rows `body`, the first of them filled up with empty cells to `count`: pandas refuses a later row that is
+    longer than the first one. Unchanged where the first row is as long."""
     first = re.search(r"[^\r\n]*\S[^\r\n]*", body)
     missing = 0 if first is None else count - 1 - first[0].count(",")
     return body if first is None or missing <= 0 else body[: first.end()] + "," * missing + body[first.end() :]
 
 
 def _table(body: str) -> list[Array]:
-    """The columns, (n,) each, of rows without a header line. One of pandas' errors where rows are not alike."""
+    """Parses rows that have no header line above them into columns, (n,) each. Where rows are not alike pandas raises
+    an error of its own."""
     frame = pd.read_csv(io.BytesIO(body.encode()), header=None, low_memory=False, skipinitialspace=True)
     return [column.to_numpy() for _, column in frame.items()]
 
@@ -218,12 +228,13 @@ def _read_text(path: Path) -> tuple[str, bool]:
 
 
 def _lines(text: str) -> list[str]:
-    """The text's lines, by any of the three line ends."""
+    """The lines of a text, split at any of the three line ends: CR LF, LF or CR."""
     return re.split(r"\r\n|\n|\r", text)
 
 
 def _numbers(column: Array, words: Mapping[str, str] = MappingProxyType({})) -> Array:
-    """(n,) float64 of (n,) cells, NaN where a cell is empty or no number. `words`: what some stand for."""
+    """(n,) float64 of (n,) cells, NaN where a cell is empty or no number. words: the numbers, as text, that some cells
+    stand for, by the cell in lower case."""
     if column.dtype.kind in "iuf":
         return column.astype(np.float64, copy=False)
     filled = pd.notna(column)
@@ -234,17 +245,17 @@ def _numbers(column: Array, words: Mapping[str, str] = MappingProxyType({})) -> 
 
 
 def _shown(cell: Any) -> str:
-    """A cell in an error's words."""
+    """A cell as an error message shows it: "empty", or its first 24 characters in quotes."""
     return "empty" if pd.isna(cell) else repr(str(cell)[:24])
 
 
 def _decimals(cell: str) -> int:
-    """How many characters stand behind a cell's decimal point."""
+    """How many characters stand behind the decimal point of a cell; 0 without one."""
     return len(cell.strip().partition(".")[2])
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a decimal comma too."""
+    """Whether a text is a number, with a decimal point or a decimal comma."""
     try:
         float(cell.replace(",", "."))
     except ValueError:
@@ -253,8 +264,9 @@ def _is_number(cell: str) -> bool:
 
 
 def _header(path: Path, line: str, number: int, expected: str) -> list[str]:
-    """The names of the header line. TautError for other separators than commas, numbers alone, or a name that is there
-    twice."""
+    """The names in the header line `line`, which is line `number` of the file; empty ones at its end are left out.
+    TautError for other separators than commas, for a line of numbers alone, and for a name that occurs twice. expected:
+    the header line that the error shows."""
     for separator, word in ((";", "semicolons"), ("\t", "tabs")):
         if separator in line and "," not in line:
             raise TautError(
@@ -272,8 +284,9 @@ def _header(path: Path, line: str, number: int, expected: str) -> list[str]:
 
 
 def _uneven_error(path: Path, text: str, header_line: int, count: int) -> TautError:
-    """The error that names the first line with more cells than the header, on line header_line (from 1), has columns,
-    `count`; or, where no line has more, that it is no table. Empty cells at a line's end do not count."""
+    """The error to raise where rows do not fit the header. It names the first line with more cells than the header has
+    columns, `count`, the header being line header_line (from 1); where no line has more, it says that the file is no
+    table. Empty cells at a line's end do not count."""
     for number, line in enumerate(_lines(text)[header_line:], header_line + 1):
         cells = line.rstrip(", \t").split(",")
         if len(cells) > count:

@@ -42,7 +42,8 @@ class SetPoints(Value):
 
 
 def read_trajectory(path: Path, warnings: list[str] | None = None) -> tuple[Array, Array]:
-    """The times t_s, s, and angles c_deg, (n,) each, of a trajectory's CSV. warnings: gets what was mended in it."""
+    """Reads a trajectory's CSV. Returns its times t_s, s, rising, and angles c_deg, deg, (n,) each. warnings: if given,
+    gets what was mended."""
     columns = read_columns(path, ["t_s", "c_deg"], "t_s,c_deg")
     t_s, c_deg = columns.rising_times(), columns.finite("c_deg")
     if warnings is not None:
@@ -59,10 +60,10 @@ def compensate(
     start_deg: float | None = None,
     progress: Progress = lambda fraction, text: None,
 ) -> SetPoints:
-    """The set-points at rate_hz from the first time to the last, each from the commands up to its own time: the tip
-    shall be at c_deg (n,) at the times t_s (n,), s. The motor starts at rest where the mode (a key of MODES) puts it
-    for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed are as fast as the rig's motor may be,
-    without a limit if the rig names none."""
+    """Computes set-points at rate_hz, from the first time to the last, with which the tip is at angles c_deg (n,), deg,
+    at times t_s (n,), s; each set-point depends on the commands up to its own time only. The motor starts at rest where
+    the mode (a key of MODES) puts it for c_deg[0], or for start_deg if given, with the tip on the centre line. Take-up
+    and feed are as fast as the rig's motor may be, without a limit if the rig names none."""
     return Compensator(model, rate_hz, mode, start_deg).run(t_s, c_deg, progress)
 
 
@@ -74,8 +75,10 @@ class Compensator:
     """
 
     def __init__(self, model: Model, rate_hz: int = 1000, mode: str = "full", start_deg: float | None = None) -> None:
-        """Starts at rest, where the mode puts the motor for the first command, or for start_deg, with the tip on the
-        centre line. TautError for an unknown mode or rate, and for a model that a board would refuse."""
+        """Prepares a compensator that ticks at rate_hz, a whole number within RATES_HZ. It starts at rest, where `mode`
+        (a key of MODES) puts the motor for the first command, or for start_deg, deg, if given, with the tip on the
+        centre line. TautError for an unknown mode or rate, a start_deg that is no number, and a model that a board
+        would refuse."""
         if mode not in MODES:
             raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
         if not (RATES_HZ[0] <= rate_hz <= RATES_HZ[1] and rate_hz == int(rate_hz)):
@@ -100,12 +103,13 @@ class Compensator:
 
     @property
     def clipped(self) -> bool:
-        """Whether the last command was beyond the table, the range or the motor's speed."""
+        """Whether the last tick was clipped: its command was beyond the table, the range or the motor's speed."""
         return self._clipped
 
     def step(self, c_deg: float, t_s: float) -> float:
-        """The motor's set-point, the rig's unit, at the last tick up to t_s, s, where the tip should be at c_deg.
-        TautError for a time that is not after the one before, and for what is no finite number."""
+        """Takes the command to be at c_deg, deg, at time t_s, s, and returns the motor's set-point, unit of q, at the
+        last tick up to t_s. TautError for a time that is not after the one before, and for a value that is no finite
+        number."""
         try:
             time, angle = float(t_s), float(c_deg)
         except (TypeError, ValueError):
@@ -119,8 +123,8 @@ class Compensator:
         c_deg: npt.ArrayLike,
         progress: Progress = lambda fraction, text: None,
     ) -> SetPoints:
-        """The set-points of all ticks up to the last command. t_s, c_deg (n,): times, s, and angles, deg, of the
-        commands. TautError as in `step`."""
+        """Takes commands, angles c_deg (n,), deg, at times t_s (n,), s, and returns the set-points of all ticks that
+        have not been made yet, up to the last command. TautError as in `step`."""
         t_s, c_deg = np.asarray(t_s, dtype=float), np.asarray(c_deg, dtype=float)
         known_s, known_deg = self._with_last_command(t_s, c_deg)
         if self._native is None:
@@ -128,14 +132,8 @@ class Compensator:
         last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)  # a tick at the end is in, if rounded
         times = self._begin_s + np.arange(self._ticks, last + 1) / self.rate_hz
         raw = _raw(np.interp(times, known_s, known_deg))
-        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)  # q: Q8 counts at first
-        for begin in range(0, len(raw), _PIECE):
-            piece = slice(begin, begin + _PIECE)
-            q[piece], _, _, flags[piece] = self._native.run(raw[piece])
-            progress(min(1.0, (begin + _PIECE) / len(raw)), f"{len(raw)} set-points")
-        clipped = flags & _CLIPPED != 0
-        q *= self._unit
-        if self._most is not None and len(q):
+        q, clipped = self._run_native(raw, progress)
+        if self._most is not None and len(q):  # the first tick of all is free: the motor starts there
             limited = _rate_limited(q, self._most, float(q[0]) if self._ticks == 0 else self._q)
             clipped |= limited != q
             q = limited
@@ -145,9 +143,20 @@ class Compensator:
         self._before_s, self._before_deg = float(t_s[-1]), float(c_deg[-1])
         return SetPoints(times, q, clipped)
 
+    def _run_native(self, raw: npt.NDArray[np.int32], progress: Progress) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Runs the board's compensator for one tick after the other, on commands raw (n,), DEG_ONE to a degree. Returns
+        set-points (n,), unit of q, and which of them were clipped (n,)."""
+        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)  # q: Q8 counts at first
+        for begin in range(0, len(raw), _PIECE):
+            piece = slice(begin, begin + _PIECE)
+            q[piece], _, _, flags[piece] = self._native.run(raw[piece])
+            progress(min(1.0, (begin + _PIECE) / len(raw)), f"{len(raw)} set-points")
+        return q * self._unit, flags & _CLIPPED != 0
+
     def _with_last_command(self, t_s: Array, c_deg: Array) -> tuple[Array, Array]:
-        """Times, s, and angles, deg, of the commands t_s, c_deg (n,) with the last one before them, if there was one:
-        what the ticks are between. TautError where they cannot follow it."""
+        """The commands between which the new ticks are interpolated: times t_s, s, and angles c_deg, deg, (n,) each,
+        with the last command of the call before in front, if there was one. TautError where shapes differ, times do not
+        rise after that command, a value is not finite, or the ticks would be MOST_ROWS or more."""
         if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
             shapes = f"t_s {t_s.shape} and c_deg {c_deg.shape}"
             raise TautError(f"the trajectory's {shapes} must have one length of 1 or more")
@@ -162,10 +171,10 @@ class Compensator:
         return known_s, known_deg
 
     def adapt(self, offset: float, share: float, within_s: float = BLEND_S) -> None:
-        """Moves the tables in use as a board does that is told what was learnt: by an offset of the transmission, the
-        rig's unit (`Row.offset` of a `Tracker`), and to a share of the calibrated backlash (`Tracker.compensation`), in
-        within_s, s. TautError for what a board's tables do not allow: more than a tenth of the range, a share that is
-        not 0 to 2; they stay as they were."""
+        """Moves the tables in use, as a board does when it is told what a tracker learnt: by `offset` of the
+        transmission, unit of q (`Row.offset` of a `Tracker`), and to `share` of the calibrated backlash
+        (`Tracker.compensation`), blended over within_s, s. Raises a TautError and leaves the tables as they were for an
+        offset above a tenth of the range, a share outside 0 to 2, or a within_s that is negative or infinite."""
         farthest, least, most = self._farthest
         if not (abs(offset) <= farthest and least <= share <= most and 0.0 <= within_s < np.inf):
             raise TautError(
@@ -177,8 +186,8 @@ class Compensator:
             self._native.adapt(*self._moved, round(within_s * self.rate_hz))
 
     def _start(self, t_s: float, c_deg: float) -> None:
-        """Prepares the board's compensator for the first command, c_deg at t_s: at rest at q0, Q8 counts, where the
-        mode puts the motor for that angle or start_deg, within the table's range."""
+        """Creates the board's compensator for the first command, c_deg, deg, at t_s, s. The motor is at rest at q0, Q8
+        counts, where the mode puts it for that angle, or for start_deg if given, clipped to the table's range."""
         start = _raw(np.array([c_deg if self._start_deg is None else self._start_deg]))
         inverse = self._table.angle_inverse if self.mode == "full" else self._table.coarse_inverse
         low, high = self._table.fields["q_min"], self._table.fields["q_max"]
@@ -189,13 +198,13 @@ class Compensator:
 
 
 def _raw(c_deg: Array) -> npt.NDArray[np.int32]:
-    """Angles c (n,), deg, in the board's fixed point, DEG_ONE to a degree, clipped to 32 bits."""
+    """Angles c_deg (n,) in the board's fixed point, DEG_ONE to a degree, rounded, and clipped to 32 bits."""
     return np.asarray(np.clip(np.rint(c_deg * _native.DEG_ONE), -INT32_MAX - 1, INT32_MAX), dtype=np.int32)
 
 
 def _limits(model: Model) -> tables.Limits:
-    """The limits of tables in use, as fast as the rig's motor may be; where the rig names no speed, as fast as a board
-    computes with."""
+    """Limits of tables that may be moved in use, but as fast as the rig's motor may be or, where the rig names no
+    speed, as fast as a board computes with, and without a least slope of f."""
     resolution = model.rig.actuator.encoder_resolution
     most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution  # unit/s
     speed = min(most, model.rig.actuator.speed_max or most)
@@ -204,18 +213,19 @@ def _limits(model: Model) -> tables.Limits:
     return replace(own, speed_max=speed, takeup_speed=speed, takeup_accel=accel, slope_min=0.0)
 
 
-def _rate_limited(q: Array, step: float, here: float) -> Array:
-    """q (n,) with steps of at most `step`, beginning from `here`, all in the rig's unit."""
+def _rate_limited(q: Array, step: float, position: float) -> Array:
+    """(n,) Positions that follow q (n,) by at most `step` at a time, beginning from `position`, all in the unit of
+    q."""
     limited = np.empty(len(q))
     for k, wanted in enumerate(q.tolist()):
-        here = wanted if abs(wanted - here) <= step else here + np.copysign(step, wanted - here)
-        limited[k] = here
+        position = wanted if abs(wanted - position) <= step else position + np.copysign(step, wanted - position)
+        limited[k] = position
     return limited
 
 
 def write_csv(path: Path, unit: str, points: SetPoints, resolution: float) -> None:
-    """Writes the set-points with the columns t_s, q_mm (or q_deg, by `unit`) and clipped; positions to a 256th of a
-    count. resolution: unit per count."""
+    """Writes the set-points as a CSV with columns t_s, q_mm (or q_deg, by `unit`) and clipped. Positions have six
+    decimals, or as many as show a 256th of a count. resolution: unit of q per count."""
     digits = max(6, int(np.ceil(-np.log10(resolution / _native.COUNT_ONE))))
     lines = [f"t_s,q_{unit},clipped"]
     rows = zip(points.t_s.tolist(), points.q.tolist(), points.clipped.tolist(), strict=True)

@@ -22,7 +22,7 @@ JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be f
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """A squared-exponential kernel; prior and white noise in shares of the prior's variance."""
+    """A Gaussian process with a squared-exponential kernel, whose variances are over that of the prior, sigma^2."""
 
     sigma: float  # one standard deviation a priori, in the sensor's unit
     inputs: Array  # (n, d) where it was seen
@@ -30,14 +30,16 @@ class Discrepancy:
     white: float  # variance of the white noise
 
     def sigma_at(self, inputs: Array) -> Array:
-        """(m,) One standard deviation at inputs (m, d): sqrt(k(x, x) - k(x, X) (K + white)^-1 k(X, x))."""
+        """(m,) One standard deviation, in the sensor's unit, at inputs x (m, d): sigma sqrt(1 - k(x, X) (K + white
+        I)^-1 k(X, x)), the Gaussian process' own, where X are the `inputs` and K = k(X, X)."""
         to_seen = kernel(inputs, self.inputs, self.lengths)
         known = np.sum(to_seen * cho_solve(self._factor, to_seen.T).T, axis=1)
         return np.asarray(self.sigma * np.sqrt(np.clip(1.0 - known, 0.0, 1.0)))
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
-        """The Cholesky factor (n, n) of the seen values' covariance, and whether it is the lower one, for cho_solve."""
+        """The Cholesky factor (n, n) of the covariance at `inputs`, white noise included, and whether it is the lower
+        one, as cho_solve takes them."""
         own = kernel(self.inputs, self.inputs, self.lengths)
         factor, lower = cho_factor(own + (self.white + JITTER) * np.eye(len(self.inputs)), lower=True)
         return factor, bool(lower)
@@ -49,7 +51,7 @@ class Discrepancy:
 
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Self:
-        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        """Reads what `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         inputs, lengths = (np.array(told[name], dtype=float) for name in ("inputs", "lengths"))
         found = cls(float(told["sigma"]), inputs, lengths, float(told["white"]))
         if inputs.ndim != 2 or lengths.shape != inputs.shape[1:] or not found._is_possible:
@@ -64,14 +66,15 @@ class Discrepancy:
 
 
 def kernel(a: Array, b: Array, lengths: Array) -> Array:
-    """(n, m) exp(-|a - b|^2 / 2) of inputs (n, d) and (m, d) in units of `lengths` (d,)."""
+    """(n, m) The squared-exponential kernel exp(-|a - b|^2 / 2) of inputs a (n, d) and b (m, d), each coordinate
+    divided by its length in `lengths` (d,)."""
     return np.exp(-0.5 * cdist(a / lengths, b / lengths, "sqeuclidean"))
 
 
 def states(simulated: Motor, command: Motor, scene_s: Array, span: float) -> Array:
-    """(n, 3) The simulated joint's place, its speed (1/s) and its load, which is how far it is from its command, at
-    scene times (n,), in shares of `span`, the motor's range. simulated: the motor's log with the simulated tip's
-    coordinate."""
+    """(n, 3) The inputs of a Discrepancy at scene times scene_s (n,), s: the simulated joint's place, its speed (1/s)
+    and its load, in shares of `span`, the motor's range. The load is its command less its place. simulated: the motor's
+    log with the simulated tip's coordinate as q; command: the recorded motor, q_cmd or, without it, q."""
     t_s, place = simulated.t_s, simulated.q / span
     speed = np.gradient(place, t_s)
     commanded = command.q if command.q_cmd is None else command.q_cmd

@@ -41,8 +41,9 @@ class Driven:
 
 
 def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) -> Driven:
-    """The posterior of a motor's path by readings q (n,) at rising times t_s (n,), at least four. step: the encoder's
-    step, or, if readings are not rounded, about their noise. order: as `Driven`."""
+    """The posterior of a motor's path, by readings q (n,) at rising times t_s (n,), s, at least four. rounded: whether
+    readings are rounded to the encoder's step, `step`, their unit; if not, `step` is about their noise. order: as in
+    `Driven`."""
     begin_s, end_s = float(t_s[0]), float(t_s[-1])
     t_s, readings = _block_means(t_s, q)
     usual_s = float(np.median(np.diff(t_s)))
@@ -56,7 +57,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
     reading[::parts] = (readings - zero) / step
     found = _fitted_path(order, np.diff(nodes) / usual_s, reading, read, rounded)
     mean, sigma = found.mean.copy(), found.sigma
-    # The first and last node of averaged readings are in the middle of theirs: the path goes on as it went to the ends.
+    # Block means put the first and last node into the middle of their blocks: the path is prolonged to the ends.
     ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
     nodes[[0, -1]] += ends
@@ -69,7 +70,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
 
 @dataclass(frozen=True)
 class _Swept:
-    """A path at nodes (n,) after a sweep, in the encoder's steps."""
+    """A path at nodes (n,) after a sweep, positions and sigmas in the encoder's steps."""
 
     told: float  # log probability of the readings, each left out in turn
     mean: Array  # (n,)
@@ -78,9 +79,10 @@ class _Swept:
 
 
 def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
-    """The path on a grid of nodes by repeated sweeps with ever rarer changes; the sweep with the best held-out
-    probability counts. intervals (n - 1,): between nodes, over the usual one of readings; reading (n,): in the
-    encoder's steps, where `read` (n,) is 1; order, rounded: as of `driven`."""
+    """Fits the path on a grid of nodes by sweeps in C that take changes to be ever rarer, until more sweeps bring
+    nothing. Returns the sweep under which readings, each left out in turn, are likeliest. intervals (n - 1,): between
+    nodes, over the usual one of readings; reading (n,): in the encoder's steps, where `read` (n,) is 1; order, rounded:
+    as of `driven`."""
     size, seen = len(reading), np.flatnonzero(read)
     times = np.concatenate([[0.0], np.cumsum(intervals)])
     change = change_factors(order, intervals)
@@ -89,11 +91,12 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
     precision = read / (noise**2 + (spread.of_rounding(1.0) ** 2 if rounded else 0.0))
     force = precision * reading
     jumped, variance = np.full(len(change), -1.0), np.zeros(size)
-    jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf
+    jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf  # usual change, squared; the sweep before's probability
     best = _Swept(-np.inf, state.copy(), np.full(size, noise), noise)
     for _ in range(_SWEEPS):
-        # Changes the last five in place: positions; of each reading as a Gaussian its precision and that times its
-        # mean; mean squares of the changes; variance of the positions.
+        # It changes its last five arguments in place: positions; of each reading as a Gaussian its precision and that
+        # times its mean; mean squares of the changes; variance of the positions. holds: no number failed; scatter: the
+        # likeliest noise; told: log probability of the readings, each left out in turn.
         holds, scatter, told = _native.sweep(
             change, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
         )
@@ -109,8 +112,9 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
 
 
 def change_factors(order: int, steps: Array) -> Array:
-    """(n - order, order + 1) Factors of the positions of neighbouring nodes in a change of their speed (order 2) or
-    acceleration in a unit of time, `order`! times a divided difference. steps (n - 1): intervals between the nodes."""
+    """(n - order, order + 1) The factors of order + 1 neighbouring positions with which their weighted sum is the
+    change of speed (order 2) or of acceleration (order 3) there, per unit of time: `order`! times a divided difference.
+    steps (n - 1,): times between the nodes."""
     many = len(steps) - order + 1
     at = list(accumulate((steps[j : j + many] for j in range(order)), initial=np.zeros(many)))
     products = [math.prod(one - other for other in at if other is not one) for one in at]
@@ -118,9 +122,10 @@ def change_factors(order: int, steps: Array) -> Array:
 
 
 def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
-    """(n,) Whether each node shows where a jump of speed is: all but those on a straight line between two others of the
-    same interval of readings that jump, as they do where times are uneven. t_s, q (n,): the nodes, s, and the path
-    there; parts: of nodes for each interval of readings."""
+    """(n,) Which nodes to keep, so that a jump of speed shows only at the nodes on either side of it. Left out is a
+    node at which speed does not jump while it does at a node before and at one after it in the same interval of
+    readings, as happens where times are uneven. t_s, q (n,): the nodes, s, and the path there; parts: nodes for each
+    interval of readings."""
     shows = np.ones(len(t_s), dtype=bool)
     if parts < 2:
         return shows
@@ -135,14 +140,14 @@ def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
 
 
 def _corners_placed(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
-    """Moves each jump of speed, which shows at the nodes on either side of it, to where the lines beside it meet: one
-    node in place of two. Of nodes (n,) returns the times, s, positions and sigmas of those that are left (m,)."""
+    """Moves each jump of speed, which shows at two neighbouring nodes, to where the lines before and after it meet: one
+    node in place of two. t_s, q, sigma (n,): the nodes, s, positions and sigmas; returns those that are left (m,)."""
     jump = np.diff(np.diff(q) / np.diff(t_s))  # at nodes 1 to n - 2
     # Of each two neighbours that jump the same way how much both do; one jump is where that is largest.
     pair = np.where(jump[1:] * jump[:-1] > 0.0, np.abs(jump[1:] + jump[:-1]), 0.0)
     around = np.concatenate([[0.0], pair, [0.0]])
     left = np.flatnonzero((pair > around[:-2]) & (pair >= around[2:])) + 1
-    share = jump[left] / (jump[left - 1] + jump[left])
+    share = jump[left] / (jump[left - 1] + jump[left])  # of the gap; jump[left - 1] is the one at node `left`
     after_s = share * (t_s[left + 1] - t_s[left])
     t_s, q = t_s.copy(), q.copy()
     q[left] += after_s * (q[left] - q[left - 1]) / (t_s[left] - t_s[left - 1])
@@ -151,9 +156,9 @@ def _corners_placed(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, A
 
 
 def third_differences(t_s: Array, q: Array) -> tuple[Array, Array]:
-    """Of each four neighbouring readings q (n,) at rising times t_s (n,) the combination that any parabola of time is
-    without: its factors (n - 3, 4), whose squares sum to 1, and what it comes to (n - 3,), which is as white noise
-    is."""
+    """For each four neighbouring readings q (n,) at rising times t_s (n,), the linear combination that is 0 on any
+    parabola of time. Returns its factors (n - 3, 4), whose squares sum to 1, and its values (n - 3,): those of white
+    noise have the noise's own variance."""
     if len(q) < 4:
         return np.zeros((0, 4)), np.zeros(0)
     gap = np.diff(t_s)
@@ -168,16 +173,16 @@ def third_differences(t_s: Array, q: Array) -> tuple[Array, Array]:
 
 
 def white_noise(t_s: Array, q: Array) -> float:
-    """Standard deviation of white noise on readings q (n,) of a smooth motion at rising times t_s (n,), their unit, by
-    third differences; 0 for fewer than four."""
+    """Standard deviation of the white noise on readings q (n,) of a smooth motion at rising times t_s (n,), s, in their
+    unit: from the median size of their third differences; 0 for fewer than four."""
     blocks = range(0, len(q) - 3, _BLOCK)
     third = [third_differences(t_s[i : i + _BLOCK + 3], q[i : i + _BLOCK + 3])[1] for i in blocks]
     return spread.deviation_of_squares(np.concatenate(third) ** 2) if third else 0.0
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
-    """Times t_s, s, and readings q, (n,) each, averaged over neighbours that come faster than the nodes of the grid,
-    never across a pause: (m,) each."""
+    """Times t_s, s, and readings q, (n,) each, averaged over blocks of neighbours as long as a grid interval, never
+    across a pause: (m,) each. Unchanged where readings come no faster than the grid's nodes, or are few."""
     many = int(_GRID_S / float(np.median(np.diff(t_s))) + 1e-6)
     if many < 2 or len(q) < 4 * many:
         return t_s, q

@@ -45,7 +45,8 @@ class Elements:
     forgotten: ClassVar[float] = 1e-9  # tolerance: of the range, where it started shows by rounding only
 
     def __post_init__(self) -> None:
-        """ValueError where widths and weights are none of a play's elements."""
+        """Raises ValueError unless there are 1 to MOST widths that rise from 0 or more, as many positive weights that
+        sum to 1, and the weighted mean of the widths is 1."""
         width, weight = np.array(self.width, dtype=float), np.array(self.weight, dtype=float)
         if not 1 <= len(width) == len(weight) <= MOST:
             raise ValueError(f"elements: 1 to {MOST} widths and as many weights")
@@ -58,7 +59,7 @@ class Elements:
 
     @property
     def single(self) -> bool:
-        """Whether it is one play alone, whose width is B."""
+        """Whether the elements are one play alone, whose width is B."""
         return len(self.width) == 1
 
     def to_json(self) -> dict[str, list[float]]:
@@ -67,7 +68,7 @@ class Elements:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        """Reads what `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         return cls(*(tuple(float(value) for value in document[name]) for name in ("width", "weight")))
 
 
@@ -86,19 +87,21 @@ class Play:
     count: float = 0.0
 
     def forward(self, q: npt.ArrayLike, p0: float = np.nan) -> Array:
-        """The centre coordinate (n,) of motor positions q (n,), in their order. p0: where it was before; NaN: q[0]."""
+        """The centre coordinate (n,), unit of q, after each of the motor positions q (n,), taken in their order. p0:
+        the centre coordinate before them; NaN: q[0]."""
         return self.native.forward(np.asarray(q, dtype=float), p0)[0]  # type: ignore[no-any-return]
 
     def inverse(self, p: npt.ArrayLike, q0: float | None = None) -> Array:
-        """Motor positions (n,) that lead the centre coordinate along p (n,). The tip starts at p[0] and the motor at
-        q0, by default p[0] (the centre). While p rests the motor rests."""
+        """Motor positions (n,), unit of q, that lead the centre coordinate along p (n,). The tip starts at p[0] and the
+        motor at q0, by default p[0], the centre of the backlash. While p rests the motor rests."""
         p = np.asarray(p, dtype=float)
         start = float(p[0]) if q0 is None else q0
         return self.native.inverse(p, start, float(p[0]))  # type: ignore[no-any-return]
 
     @cached_property
     def native(self) -> Any:
-        """The C object that runs the play; a single one needs no warp, nor does friction."""
+        """The C object that runs the play, made once: friction's own; else a single play on the table; else several
+        elements with their warp, where B is wider than `narrow`, and a single play where it is not."""
         if isinstance(self.elements, Friction):
             return self.elements.native(self.grid, self.width)
         if self.elements.single:
@@ -111,10 +114,10 @@ class Play:
 
     @property
     def narrow(self) -> float:
-        """The width, unit of q, where B is below which the single play stands for the elements: what they do within it
-        is not seen, while the warp, which rises by 1 over each width, would need ever more knots. The largest of a few
-        encoder counts, a share of the widest B, and the range over _PERIODS, as the warp has at most so many periods
-        then."""
+        """The width of B, unit of q, below which a single play replaces the elements: what they do within so little is
+        not seen, while the warp, which rises by 1 over each width, would need ever more knots. It is the largest of
+        _NARROW_COUNTS encoder counts, a share _NARROW_SHARE of the widest B, and the table's range over _PERIODS, so
+        that the warp has at most _PERIODS periods."""
         widest = float(self.width.max())
         span = float(self.grid[-1] - self.grid[0])
         return max(_NARROW_COUNTS * self.count, _NARROW_SHARE * widest, span / _PERIODS)
@@ -130,20 +133,16 @@ class Warp:
 
 def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     """The warp x = G(q) of a backlash table, B width (n,) at grid (n,), unit of q; widths below `narrow` (> 0) count as
-    `narrow`. With T the map from p - B/2 to p + B/2, G(T(u)) = G(u) + 1: one period about the table's middle determines
-    all others. Within it G has the least integral of G'''^2 over the table. Knots: those of the period, the table's
-    corners among them, and their images under T. G(middle) = 0."""
+    `narrow`. With T the map from p - B/2 to p + B/2, G(T(u)) = G(u) + 1: one period, about the table's middle,
+    determines all others. Within it G has the least integral of G'''^2 over the table. Its knots are those of the
+    period, the table's corners among them, and their images under T. G(middle) = 0."""
     middle = 0.5 * (grid[0] + grid[-1])
     grid, width = _with_least_width(grid, width, narrow)
     table = _Periods(grid, width)
     first = float(table.lower_end(middle))
     last = float(table.next_period(first))
     base = _warp_in_one_period(grid, width, first, last)
-    corners = table.into_period(grid - 0.5 * width, first, last)
-    knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
-    knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]
-    if last - knots[-1] < _SAME * (last - first):
-        knots = knots[:-1]
+    knots = _knots_in_one_period(table, first, last)
     phases = np.asarray(base(knots))
     q, x = _in_all_periods(table, knots, phases)
     apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])  # rounding may bring two together
@@ -154,8 +153,18 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     return Warp(q, x - np.interp(middle, q, x))
 
 
+def _knots_in_one_period(table: _Periods, first: float, last: float) -> Array:
+    """The knots (k,) of a warp in one period [first, last), unit of q, rising: _FINE even ones, and the table's
+    corners, each moved into the period by T. Knots nearer to each other than a share _SAME of the period are one."""
+    corners = table.into_period(table.left, first, last)
+    knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
+    knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]
+    return np.asarray(knots[:-1] if last - knots[-1] < _SAME * (last - first) else knots)
+
+
 def _with_least_width(grid: Array, width: Array, narrow: float) -> tuple[Array, Array]:
-    """Grid and width (at least two nodes) with width at least `narrow`, and a node where it crosses that."""
+    """The table of grid and width (n,), unit of q, with widths of at least `narrow` and a further node wherever the
+    width crosses it; a table of one node becomes one of two."""
     if len(grid) == 1:
         grid, width = np.array([grid[0], grid[0] + max(width[0], narrow)]), np.repeat(width, 2)
     above = width > narrow
@@ -167,9 +176,9 @@ def _with_least_width(grid: Array, width: Array, narrow: float) -> tuple[Array, 
 
 
 def _in_all_periods(table: _Periods, knots: Array, phases: Array) -> tuple[Array, Array]:
-    """Knots q and x of a warp over a table's whole range and _PAST widths beyond it, from those of one period, knots
-    and phases (n,): their images under T, where the warp is 1 more each time, and under its inverse, where it is 1
-    less."""
+    """A warp's knots q, unit of q, and their values x, over a table's whole range and _PAST widths beyond, made of
+    those of one period, knots and phases (n,): the knots are mapped by T again and again, where the warp is 1 more each
+    time, and by its inverse, where it is 1 less."""
     columns = [(knots, phases)]
     q, period = knots, 0
     while q[0] <= table.grid[-1] + _PAST * table.width[-1]:
@@ -183,21 +192,21 @@ def _in_all_periods(table: _Periods, knots: Array, phases: Array) -> tuple[Array
 
 
 class _Periods:
-    """The map T from p - B/2 to p + B/2, and back: what a warp is periodic in. grid (n,) p, rising, and width (n,) B
-    there, both in the unit of q; left and right are the motor's places at which an element at p is pushed."""
+    """The map T from p - B/2 to p + B/2, and its inverse: a warp is 1 more after each T. grid (n,) p, rising, and width
+    (n,) B there, both in the unit of q; left and right are the motor's places at which an element at p is pushed."""
 
     def __init__(self, grid: Array, width: Array) -> None:
-        """grid, width: as of the class."""
+        """Keeps the table, grid and width (n,) as the class says, and the two ends p -+ B/2 at its nodes."""
         self.left, self.right = grid - 0.5 * width, grid + 0.5 * width
         self.grid, self.width = grid, width
 
     def lower_end(self, p: npt.ArrayLike) -> Array:
-        """p - B(p)/2 at centre coordinates p, unit of q."""
+        """p - B(p)/2 at centre coordinates p, unit of q, of any shape."""
         p = np.asarray(p, dtype=float)
         return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
 
     def next_period(self, u: npt.ArrayLike) -> Array:
-        """Maps u = p - B(p)/2 to p + B(p)/2, unit of q: the map T, one period further."""
+        """Maps u = p - B(p)/2 to p + B(p)/2, unit of q, of any shape: the map T, one period further."""
         return _interpolated(u, self.left, self.right)
 
     def previous_period(self, u: npt.ArrayLike) -> Array:
@@ -205,8 +214,8 @@ class _Periods:
         return _interpolated(u, self.right, self.left)
 
     def into_period(self, u: Array, first: float, last: float) -> Array:
-        """(n,) Each of u (n,), unit of q, moved up or down by whole periods, T or its inverse, until it lies in the one
-        period [first, last), last = T(first)."""
+        """(n,) Each of u (n,), unit of q, moved by whole periods, with T or its inverse, into the period [first, last),
+        where last = T(first)."""
         u = u.copy()
         while (above := u >= last).any():
             u[above] = self.previous_period(u[above])
@@ -224,9 +233,10 @@ def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
 
 
 def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
-    """The warp G, G(p + B/2) - G(p - B/2) = 1, less G(first), over the period [first, last), unit of q, in which it
-    rises from 0 to 1: the one whose continuation over the whole table has the least integral of G'''^2."""
-    # On the mesh: _MESH nodes in the period, and their images in all periods that the table has, each a column.
+    """The warp G, G(p + B/2) - G(p - B/2) = 1, less G(first), over one period [first, last), unit of q, in which it
+    rises from 0 to 1. Of all such curves it is the one whose continuation over the whole table has the least integral
+    of G'''^2."""
+    # A mesh of _MESH nodes in the period, and their images in all periods that the table has, each one of `columns`.
     smooth = _Periods(*_without_corners(grid, width))
     nodes = first + (float(smooth.next_period(first)) - first) * np.arange(_MESH) / _MESH
     columns = [nodes]
@@ -236,20 +246,22 @@ def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) ->
     while columns[0][0] > grid[0] - 0.5 * width[0]:
         columns.insert(0, smooth.previous_period(columns[0]))
     period = np.repeat(np.arange(ahead - len(columns), ahead, dtype=float), _MESH)
-    values = np.linspace(0.0, 1.0, _MESH, endpoint=False)
+    values = np.linspace(0.0, 1.0, _MESH, endpoint=False)  # a table within one period: a straight line
     q = np.concatenate(columns)
     inside = (q >= grid[0] - 0.5 * width[0]) & (q <= grid[-1] + 0.5 * width[-1])  # beyond, B is held: a corner
     if len(columns) > 1:
         values = _least_third_derivative(q, period, inside)
-    # with a neighbour on either side for the slopes; stretched to the table's own period
+    # The period before and after are added for the slopes at its ends. The table without corners has a slightly other
+    # period than the table itself, to which the nodes are stretched.
     around = np.concatenate([smooth.previous_period(nodes), nodes, smooth.next_period(nodes)])
     scale = (last - first) / (float(smooth.next_period(first)) - first)
     return PchipInterpolator(first + scale * (around - first), np.concatenate([values - 1, values, values + 1]))
 
 
 def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
-    """The table on a finer grid as a cubic spline, if that is still a backlash table (half the least width at least,
-    |B'| below _STEEPEST); else as it is."""
+    """The table of grid and width (n,), unit of q, on a grid _FINER times as fine, as a cubic spline through it.
+    Unchanged for fewer than four nodes, and where the spline is no backlash table: below half the least width, or |B'|
+    not below _STEEPEST."""
     if len(grid) < 4:
         return grid, width
     fine = np.linspace(grid[0], grid[-1], _FINER * len(grid))
@@ -259,24 +271,16 @@ def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
 
 
 def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
-    """(_MESH,) Rising values v with v[0] = 0 for which v[k mod _MESH] + period[k] at q[k] has the least squared third
-    derivative where `inside` (q, period, inside: (n,)); mixed with even steps as far as they must rise."""
-    weights = np.zeros((len(q) - 3, 4))
-    for i in range(4):
-        others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
-        weights[:, i] = 6.0 / np.prod(others, axis=0)  # equation: 6 f[q0, q1, q2, q3] is the third derivative
-    weights *= (np.sqrt((q[3:] - q[:-3]) / 3.0) * (inside[3:] & inside[:-3]))[:, None]  # equation: of three steps
-    design = np.zeros((len(q) - 3, _MESH))
-    rows = np.arange(len(q) - 3)
-    right = np.zeros(len(q) - 3)
-    for i in range(4):
-        design[rows, (rows + i) % _MESH] += weights[:, i]
-        right -= weights[:, i] * period[i : len(q) - 3 + i]
+    """(_MESH,) A warp's values v at the nodes of one period, with v[0] = 0, for which the curve v[k mod _MESH] +
+    period[k] at q[k] has the least integral of its squared third derivative where `inside`. q, period, inside: (n,).
+    Even steps are mixed in, by as little as keeps each step above _AT_LEAST of the mean one."""
+    design, right = _third_derivative_rows(q, period, inside)
     even = np.arange(1, _MESH) / _MESH
-    system = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])  # of the deviations from even steps
+    # Least squares for the deviations of v from even steps: normal matrix and right side in one product.
+    system = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])
     squares = np.einsum("ij,ik->jk", system, system)
     normal, slope = squares[:-1, :-1], squares[:-1, -1]
-    ridge = _RIDGE * max(np.trace(normal), 1e-300)  # a table without corners may ask for nothing
+    ridge = _RIDGE * max(np.trace(normal), 1e-300)  # without it the matrix may be singular, or 0
     normal = normal + ridge * np.eye(_MESH - 1)
     smoothest = even + np.linalg.solve(normal, slope)
     rises = np.diff(np.concatenate([[0.0], smoothest, [1.0]]))
@@ -284,3 +288,21 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
     # The largest share of the smoothest with which every step is _AT_LEAST of the mean one.
     share = 1.0 if least >= _AT_LEAST * mean else (1.0 - _AT_LEAST) * mean / (mean - least)
     return np.concatenate([[0.0], share * smoothest + (1.0 - share) * even])
+
+
+def _third_derivative_rows(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The rows whose squares (design v - right)^2 sum to the integral of the squared third derivative that
+    `_least_third_derivative` makes small: design (n - 3, _MESH), right (n - 3,). Arguments as there."""
+    weights = np.zeros((len(q) - 3, 4))
+    for i in range(4):
+        others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
+        weights[:, i] = 6.0 / np.prod(others, axis=0)  # equation: 6 f[q0, q1, q2, q3] is the third derivative
+    # equation: the integral of f'''^2 as a sum, each term weighed by the mean of its three steps
+    weights *= (np.sqrt((q[3:] - q[:-3]) / 3.0) * (inside[3:] & inside[:-3]))[:, None]
+    design = np.zeros((len(q) - 3, _MESH))
+    rows = np.arange(len(q) - 3)
+    right = np.zeros(len(q) - 3)
+    for i in range(4):
+        design[rows, (rows + i) % _MESH] += weights[:, i]
+        right -= weights[:, i] * period[i : len(q) - 3 + i]
+    return design, right

@@ -14,7 +14,7 @@ from scipy.linalg import solveh_banded
 
 from tautline import _native
 from tautline.driven import Driven, driven, third_differences, white_noise
-from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, Stops, rests_and_turns, steps_of, stopped
+from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, Stops, rests_and_turns, steps_of, with_level_rests
 from tautline.independence import stretches
 from tautline.recording import Motor
 from tautline.spread import THIRD, of_rounding
@@ -29,7 +29,7 @@ _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
 _LEAPS = 12.0  # tolerance: times the usual step between readings: a motor that jumps
-_SKIPS, _OF = 3.5, 5  # tolerance: of so many neighbouring readings, that changed
+_SKIPS, _OF = 3.5, 5  # tolerance: how many of so many neighbouring readings changed
 _MOVES = 10  # tolerance: readings that changed, that tell how a motor does
 _OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # tolerance: counts of noise from which readings are smoothed
@@ -49,9 +49,10 @@ _AGREES, _STRAYS = 2.5, 5.0  # tolerance: counts, and sigmas of their noise, tha
 
 def between_counts(motor: Motor, resolution: float) -> Motor:
     """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
-    changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
-    resolution are left as they are. Readings that scatter by more than a count, or that pass coarse counts about as
-    fast as they come, are smoothed: a play follows their extremes. A motor with a posterior is on its path."""
+    changes, and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
+    resolution are left as they are. Readings that scatter by more than a count, or that pass a coarse count at nearly
+    each reading, are smoothed: a play would follow their extremes. A motor with a posterior (`posterior_of`) is on its
+    path, with the path's knots beside its samples."""
     path = posterior_of(motor, resolution)
     return (
         _between_and_steps(motor, resolution)[0]
@@ -61,11 +62,12 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
 
 
 def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
-    """(`between_counts` of a motor without a posterior; the encoder's steps, None where the readings have none, or
-    were smoothed and scatter by more than steps alone do, so that a step tells no stop or turn of the motor)."""
+    """Returns `between_counts` of a motor without a posterior, and the encoder's steps. Instead of the steps it returns
+    None where the readings have none, or where they were smoothed and scatter by more than steps do: a change of count
+    then does not show where the motor stops or turns."""
     steps = _steps_of(motor, resolution)
     noise_counts = reading_noise(motor) / (resolution if steps is None else steps.count)
-    if _is_smoothed(motor, steps, noise_counts):
+    if _needs_smoothing(motor, steps, noise_counts):
         return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise_counts < _OWN_STEPS else None
     if steps is None:
         return motor, None
@@ -74,13 +76,14 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
 
 def _through_changes(t: Array, steps: Steps) -> Array:
     """(n,) Positions at the readings' times t (n,), s, on straight lines through an encoder's counts. The motor crosses
-    the boundary of two counts midway between the readings that differ, is at the centre of either half the shorter of
-    their two dwells before and after that, and stays there in between: at an even speed these lines are one."""
+    the boundary of two counts midway between the readings that differ. It leaves the centre of the one before that, and
+    arrives at the centre of the other after it, by half the shorter of the two counts' dwells, and rests at a centre in
+    between. At an even speed these lines are one."""
     counts = steps.counts
     changes = np.flatnonzero(np.diff(counts))
     crossed_s = 0.5 * (t[changes] + t[changes + 1])
     boundary = 0.5 * (counts[changes] + counts[changes + 1])
-    dwells_s = np.concatenate([[np.inf], np.diff(crossed_s), [np.inf]])  # the first and last count's are not known
+    dwells_s = np.concatenate([[np.inf], np.diff(crossed_s), [np.inf]])  # the first and the last one are not known
     before_s, after_s = dwells_s[:-1], dwells_s[1:]
     # A motor that jumps by several counts is at the new one with the next sample, however long it stays there.
     jumps, sample_s = np.abs(np.diff(counts)[changes]) > 1, t[changes + 1] - t[changes]
@@ -95,37 +98,39 @@ def _through_changes(t: Array, steps: Steps) -> Array:
 
 
 def reading_noise(motor: Motor) -> float:
-    """`white_noise` of a motor's readings, which is kept for each motor."""
+    """Standard deviation of the white noise on a motor's readings, unit of q (`white_noise`); computed once for each
+    motor."""
     if motor not in _noises:
         _noises[motor] = white_noise(motor.t_s, motor.q)
     return _noises[motor]
 
 
-def _is_smoothed(motor: Motor, steps: Steps | None, noise_counts: float) -> bool:
-    """Whether readings are smoothed: they scatter by more than a count, noise_counts being one standard deviation, and
-    the motor itself does not oscillate; or they pass coarse counts about as fast as they come."""
+def _needs_smoothing(motor: Motor, steps: Steps | None, noise_counts: float) -> bool:
+    """Whether readings are to be smoothed: either they scatter by more than _SCATTERS counts, noise_counts being one
+    standard deviation, and the motor itself does not oscillate, or they pass coarse counts about as fast as they
+    come."""
     return (noise_counts > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps)
 
 
 def smoothed_noise(motor: Motor, resolution: float) -> float:
-    """Standard deviation of what smoothing takes for the readings' noise, their unit, at least that of rounding: 0
-    where they are not smoothed. resolution: the rig's step of the encoder, the same unit."""
+    """Standard deviation of the noise that smoothing takes out of the readings, unit of q, at least that of rounding; 0
+    where they are not smoothed or the motor has a posterior. resolution: the rig's step of the encoder, unit of q."""
     steps, noise = _steps_of(motor, resolution), reading_noise(motor)
     count = resolution if steps is None else steps.count
-    known = posterior_of(motor, resolution) is not None
-    return 0.0 if known or not _is_smoothed(motor, steps, noise / count) else max(noise, of_rounding(count))
+    has_posterior = posterior_of(motor, resolution) is not None
+    return 0.0 if has_posterior or not _needs_smoothing(motor, steps, noise / count) else max(noise, of_rounding(count))
 
 
 def swings(motor: Motor) -> bool:
-    """Whether the motor itself oscillates from sample to sample: neighbouring third differences are correlated by -3/4
-    for white noise at even times, more negatively for such a motor."""
+    """Whether the motor itself oscillates from sample to sample. Neighbouring third differences of white noise at even
+    times are correlated by -3/4; those of such a motor more negatively, here by more than _CLEARLY standard errors."""
     return _third_difference_score(motor) < -_CLEARLY
 
 
 def _third_difference_score(motor: Motor) -> float:
-    """The correlation of neighbouring third differences of the readings less that of white noise, in standard errors:
+    """The correlation of neighbouring third differences of the readings, less that of white noise, in standard errors:
     negative where the motor oscillates, far above 0 where its path is smooth but curved. Differences beyond _OF_NOISE
-    standard deviations of the noise, which are turns, count as so large. 0 for fewer than _FEWEST differences."""
+    standard deviations of the noise, which are turns, are cut to that. 0 for fewer than _FEWEST differences."""
     factors, third = third_differences(motor.t_s, motor.q)
     if len(third) < _FEWEST:
         return 0.0
@@ -138,21 +143,22 @@ def _third_difference_score(motor: Motor) -> float:
 
 
 def count_of(motor: Motor, resolution: float) -> float:
-    """The encoder's step as the readings show it, their unit; where they have no steps sqrt(12) times their noise (a
-    step of that size scatters as much), at most the rig's step, `resolution`."""
+    """The encoder's step as the readings show it, their unit. Where they have no steps it is sqrt(12) times their
+    noise, as a step of that size scatters as much, and at most the rig's step, `resolution`."""
     steps = _steps_of(motor, resolution)
     return min(resolution, reading_noise(motor) / of_rounding(1.0)) if steps is None else steps.count
 
 
 def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
-    """Whether a moving motor changes its (coarse) count at most readings, so that no time of a change is seen. False
-    where it hardly moves, has fine counts, or jumps."""
+    """Whether a moving motor changes its (coarse) count at most readings, so that the time of no change is seen: of the
+    _OF readings around one that changed, itself included, more than _SKIPS changed on average. False where it hardly
+    moves, has fine counts or no steps, or jumps."""
     moved = np.abs(np.diff(motor.q))
     moves = moved[moved > 0]
     if len(moves) < _MOVES or steps is None or steps.count < _COARSE * float(np.ptp(motor.q)):
         return False
     if moves.max() > _LEAPS * float(np.median(moves)):
-        return False  # it steps: a smooth path through that is none
+        return False  # it jumps: a smooth path would not be its own
     changed_nearby = np.convolve(moved > 0, np.ones(_OF), mode="same")  # a slow motor changes its count now and then
     return bool(np.mean(changed_nearby[moved > 0]) > _SKIPS)
 
@@ -160,22 +166,25 @@ def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
 def between_samples(motor: Motor) -> float:
     """How far straight lines between samples may be from the motor's path, its unit; infinite for fewer than five
     readings. A path of acceleration a is a h^2 / 8 off its chord over a gap h, the sagitta, and a reading with gaps h1
-    and h2 beside it is a h1 h2 / 2 off the line between its neighbours, which tells a. That of the longer gap is taken
-    at nearly the sharpest bend, less what noise alone may bend the readings."""
+    and h2 beside it is a h1 h2 / 2 off the line between its neighbours, which tells a. Returned is the sagitta of the
+    longer gap at nearly the sharpest bend (quantile _SHARPEST), less what noise alone may bend the readings; 0 at
+    least."""
     t_s, q = motor.t_s, motor.q
     if len(q) < 5:
         return float("inf")
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
     longer, shorter = np.maximum(share, 1.0 - share), np.minimum(share, 1.0 - share)
     off_chord = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2]))
-    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)  # equation: of h^2 / 8
+    # equation: h^2 / 8 over h1 h2 / 2, h being the longer gap
+    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)
     return float(max(float(np.quantile(sagitta, _SHARPEST)) - _BENT_BY_NOISE * reading_noise(motor), 0.0))
 
 
 def _smoothed(t_s: Array, q: Array) -> Array:
-    """Readings q (n,) at rising times t_s (n,) by Whittaker's smoother with third differences, its strength by
-    generalised cross-validation, in which `wave`, the penalty's spectrum at even times, stands for the smoother's
-    trace. Fewer than _SMOOTHED stay as they are."""
+    """Readings q (n,) at rising times t_s (n,), s, smoothed by Whittaker's smoother with third differences: it
+    minimises sum (q - smooth)^2 + stiff sum (third difference)^2. The strength `stiff` is chosen by generalised
+    cross-validation, where `wave`, the penalty's spectrum at even times, stands for the smoother's trace. Fewer than
+    _SMOOTHED readings stay as they are."""
     n = len(q)
     wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(_WAVES) + 0.5) / _WAVES)) ** 3
     best, least = q, np.inf
@@ -199,27 +208,28 @@ def _smoothed(t_s: Array, q: Array) -> Array:
 
 def straight_lines(motor: Motor, resolution: float) -> Motor:
     """The recorded motor as straight lines between few knots, to within what no sensor sees; it rests and turns when
-    the counts say so. Without steps or noise readings stay as they are. q_cmd and columns of no joint are left out.
-    Every prediction uses this motion. resolution: the rig's step of the encoder, the motor's unit."""
+    the counts say so. Every prediction uses this motion. Without steps or noise the readings themselves are the knots,
+    but for those on a straight line. q_cmd and columns of no joint are left out. resolution: the rig's step of the
+    encoder, the motor's unit. Computed once for each motor."""
     return _kept(_lines, motor, resolution, _straight_lines)
 
 
 def cut(motor: Motor, until_s: float) -> Motor:
-    """The motor with the readings up to the time `until_s`, s, at least one."""
-    known = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
+    """The motor with its readings up to the time until_s, s; with the first one if all are later."""
+    kept = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
 
     def first(values: Array | None) -> Array | None:
-        """A column's known samples; None stays None."""
-        return None if values is None else values[known]
+        """The column's samples that are kept; None stays None."""
+        return None if values is None else values[kept]
 
     return Motor(
-        motor.t_s[known],
-        motor.q[known],
+        motor.t_s[kept],
+        motor.q[kept],
         q_cmd=first(motor.q_cmd),
         translation_mm=first(motor.translation_mm),
         rotation_deg=first(motor.rotation_deg),
         load_mNm=first(motor.load_mNm),
-        extra={name: values[known] for name, values in motor.extra.items()},
+        extra={name: values[kept] for name, values in motor.extra.items()},
     )
 
 
@@ -235,8 +245,8 @@ def _kept(
     kept: WeakKeyDictionary[Motor, dict[float, Kept]], motor: Motor, resolution: float,
     make: Callable[[Motor, float], Kept],
 ) -> Kept:  # fmt: skip
-    """Returns what `make` makes of a motor at an encoder's resolution, the motor's unit: the first time it is made, and
-    put into `kept` for as long as the motor lives; then it is taken from there."""
+    """Returns make(motor, resolution), which is computed the first time and put into `kept` for as long as the motor
+    lives. resolution: the encoder's step, the motor's unit."""
     known = kept.setdefault(motor, {})
     if resolution not in known:
         known[resolution] = make(motor, resolution)
@@ -244,46 +254,50 @@ def _kept(
 
 
 def _steps_of(motor: Motor, resolution: float) -> Steps | None:
-    """`steps_of`, which is kept for each motor."""
+    """The encoder's steps as the readings show them (`encoder_steps.steps_of`), None where they have none; computed
+    once for each motor."""
     return _kept(_steps, motor, resolution, steps_of)
 
 
 def _stops_of(motor: Motor, resolution: float) -> Stops:
-    """`rests_and_turns` by the encoder's steps, none where readings have none; kept for each motor."""
+    """The motor's rests and turns by the encoder's steps (`rests_and_turns`), none where readings have no steps;
+    computed once for each motor."""
     return _kept(_stops, motor, resolution, _stops_by_counts)
 
 
 def _stops_by_counts(motor: Motor, resolution: float) -> Stops:
-    """As `_stops_of`, which keeps its result: no stops of readings without steps."""
+    """Computes what `_stops_of` keeps."""
     steps = _steps_of(motor, resolution)
     return Stops([], False) if steps is None else rests_and_turns(motor, steps)
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
-    """As `straight_lines`, which keeps its result. Of a motor with a posterior the lines are within its usual sigma,
-    and each rest at one level: the path's own, or, where its acceleration is what is constant (Driven.order 3), as the
-    changes of count tell it."""
+    """Computes what `straight_lines` keeps. For a motor with a posterior the lines are within the posterior's median
+    sigma of its path, and each rest is at one level: the path's mean for order 2 of `Driven`, the level that the
+    changes of count show for order 3."""
     path = posterior_of(motor, resolution)
     if path is None:
-        return _even_lines(motor, resolution)
+        return _lines_by_acceleration(motor, resolution)
     steps = _steps_of(motor, resolution)
     if path.order == 2 or steps is None:
-        path, stops = _levelled_rests(path), np.zeros(len(path.t_s), dtype=bool)
+        path, at_stops = _levelled_rests(path), np.zeros(len(path.t_s), dtype=bool)
     else:
-        path, stops = stopped(path, _stops_of(motor, resolution).rests, steps.count)
-    keep = _needed_knots(path.t_s, [(path.q, float(np.median(path.sigma)))]) | stops
+        path, at_stops = with_level_rests(path, _stops_of(motor, resolution).rests, steps.count)
+    keep = _needed_knots(path.t_s, [(path.q, float(np.median(path.sigma)))]) | at_stops
     return _with_others(motor, path.t_s[keep], path.q[keep], np.zeros(int(keep.sum()), dtype=bool))
 
 
 def posterior_of(motor: Motor, resolution: float) -> Driven | None:
-    """The posterior of the motor's path: of one that slows down to its stops, through fine counts; of one whose speed
-    jumps, where readings contradict lines of constant acceleration at stops or have noise and no steps. None for any
-    other motor. resolution: the rig's step of the encoder, the motor's unit."""
+    """The posterior of the motor's path, unit of q, or None: `_posterior` says which motors have one. Computed once for
+    each motor. resolution: the rig's step of the encoder, unit of q."""
     return _kept(_paths, motor, resolution, _posterior)
 
 
 def _posterior(motor: Motor, resolution: float) -> Driven | None:
-    """As `posterior_of`, which keeps its result."""
+    """Computes what `posterior_of` keeps. Order 3 (`Driven.order`): a motor with fine counts that slows down to its
+    stops. Order 2: readings that have noise but no steps, or are farther from lines of constant acceleration at stops
+    than counts and noise allow, as where speed jumps. None: too few readings, readings that are exact beside the
+    motor's travel, a motor that oscillates, and all others."""
     steps, noise = _steps_of(motor, resolution), reading_noise(motor)
     unsure = noise if steps is None else steps.count
     if len(motor.q) < CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
@@ -297,7 +311,7 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
     fine = steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count
     if fine and _stops_of(motor, resolution).slows_down:
         return _posterior_from_counts(motor, steps, order=3)
-    lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
+    lines = _lines_by_acceleration(Motor(motor.t_s, motor.q), resolution)  # q alone: no knots for other columns
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:
         return None
@@ -313,19 +327,20 @@ def _posterior_from_counts(motor: Motor, steps: Steps, order: int) -> Driven:
 
 
 def _with_sample_knots(motor: Motor, lines: Motor) -> Motor:
-    """The lines with a knot at every sample of the motor too."""
+    """`lines`, the motor's straight lines, with a further knot at each of the motor's own samples."""
     t_s = np.union1d(lines.t_s, motor.t_s)
     return lines.resampled(t_s, np.interp(t_s, lines.t_s, lines.q), lines.extra)
 
 
-def _even_lines(motor: Motor, resolution: float) -> Motor:
-    """`_constant_acceleration_lines`, which is kept for each motor."""
+def _lines_by_acceleration(motor: Motor, resolution: float) -> Motor:
+    """`_constant_acceleration_lines`, computed once for each motor and resolution."""
     return _kept(_evens, motor, resolution, _constant_acceleration_lines)
 
 
 def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
-    """Straight lines through a motor that stops and starts at a constant acceleration, within a tolerance by its
-    counts; one without steps or noise only loses the samples on straight lines."""
+    """Straight lines for a motor that stops and starts at a constant acceleration, within a tolerance of its positions
+    between counts that goes by the size of a count, and with knots where it rests and turns. A motor without steps or
+    noise only loses the samples on straight lines."""
     smooth, steps = _between_and_steps(motor, resolution)
     if smooth is motor:
         return _without_collinear(motor)
@@ -337,8 +352,8 @@ def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
 
 
 def _levelled_rests(path: Driven) -> Driven:
-    """The path with each rest at its mean. It rests where it would move by less than its own sigma in REST_S, for
-    longer than that."""
+    """The path with each rest at its mean. The motor rests where it would move by less than its own sigma in REST_S, if
+    that lasts for longer than REST_S and the path stays within two sigmas meanwhile."""
     slow = np.abs(np.diff(path.q)) * REST_S < path.sigma[1:] * np.diff(path.t_s)
     q = path.q.copy()
     for step in stretches(slow):
@@ -351,8 +366,9 @@ def _levelled_rests(path: Driven) -> Driven:
 def _with_others(
     motor: Motor, t_s: Array, q: Array, fixed: npt.NDArray[np.bool_], smooth: Array | None = None
 ) -> Motor:
-    """The motor of knots t_s, q (n,), with knots added for the other columns. smooth: a position of each of the motor's
-    samples, to which the knots are fitted; not those that are `fixed` (n,), at rests and turns."""
+    """The motor on straight lines between knots t_s, q (n,), with knots added that the other axes, the load and the
+    joints need. smooth: if given, positions at the motor's samples, to which the knots are fitted by least squares,
+    except those that are `fixed` (n,), at rests and turns."""
     others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)
@@ -369,18 +385,19 @@ def _with_others(
 
 
 def _without_collinear(motor: Motor) -> Motor:
-    """The motor without samples that lie on the straight line between their neighbours."""
+    """The motor without the samples that lie on the straight line between their neighbours, but for rounding."""
     return _with_few_knots(motor, lambda values: _EXACT * float(np.abs(values).max()) + 1e-300)
 
 
 def with_few_knots(motor: Motor, share: float) -> Motor:
-    """The motor with as many of its knots as straight lines need to stay within a share of each column's travel."""
+    """The motor with only those samples that straight lines need to stay within `share` of each column's travel, its
+    largest less its smallest value."""
     return _with_few_knots(motor, lambda values: share * float(np.ptp(values)))
 
 
 def _with_few_knots(motor: Motor, tolerance_of: Callable[[Array], float]) -> Motor:
-    """The motor with as many of its samples as straight lines need to stay within each column's tolerance, which
-    tolerance_of gives for its values (n,), in their unit. Without q_cmd and columns of no joint."""
+    """The motor with only those samples that straight lines need to stay within each column's tolerance. tolerance_of:
+    gives it, in the column's unit, for the column's values (n,). q_cmd and columns of no joint are left out."""
     columns = [motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm, *motor.joints.values()]
     channels = [(values, tolerance_of(values)) for values in columns if values is not None]
     keep = _needed_knots(motor.t_s, channels)
@@ -393,16 +410,16 @@ def _with_few_knots(motor: Motor, tolerance_of: Callable[[Array], float]) -> Mot
 
 
 def _needed_knots(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.bool_]:
-    """(n,) Which samples are needed for straight lines between them to be within every channel's tolerance. t_s (n,),
-    s; channels: values (n,) and tolerance of each, in its unit."""
+    """(n,) Which samples at times t_s (n,), s, straight lines need as knots to stay within every channel's tolerance.
+    channels: each one's values (n,) and its tolerance, in their unit."""
     values, tolerances = np.concatenate([v for v, _ in channels]), np.array([tolerance for _, tolerance in channels])
     return np.asarray(_native.thin(t_s, values, tolerances, REST_S), dtype=bool)
 
 
 def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Times (k,), s, and positions (k,) of the knots between which straight lines are within `tolerance`, the motor's
-    unit, of its positions, with knots where each of `stops` begins and ends in place of those within it; and which of
-    them (k,) are at rests or turns."""
+    """Returns knots for straight lines within `tolerance`, the motor's unit, of its positions: times (k,), s, positions
+    (k,), and which of them (k,) are at rests or turns. Knots where each of `stops` begins and ends, at its position,
+    replace those within or close to it."""
     keep = _needed_knots(motor.t_s, [(motor.q, tolerance)])
     t, q = motor.t_s[keep], motor.q[keep]
     fixed = np.zeros(len(t), dtype=bool)
@@ -422,14 +439,15 @@ def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Ar
 
 
 def _least_squares_knots(t_s: Array, values: Array, knots: Array, level: Array, fixed: npt.NDArray[np.bool_]) -> Array:
-    """(k,) Positions at the knots (k,), s, for which straight lines fit all samples values (n,) at t_s (n,) best, so
-    that an encoder's steps average out. level (k,): the positions as they are, which stay where `fixed` (k,)."""
+    """(k,) Positions at knots (k,), s, whose straight lines fit all samples, values (n,) at times t_s (n,), best, so
+    that an encoder's steps average out. level (k,): the positions so far; those that are `fixed` (k,) stay."""
     if len(knots) < 2 or fixed.all():
         return level
     left = np.clip(np.searchsorted(knots, t_s, side="right") - 1, 0, len(knots) - 2)
     share = (t_s - knots[left]) / (knots[left + 1] - knots[left])
     off = values - ((1 - share) * level[left] + share * level[left + 1])
     count = len(level)
+    # Tridiagonal normal equations for what is added to each level; that of a fixed knot is 0.
     diagonal = np.bincount(left, (1 - share) ** 2, count) + np.bincount(left + 1, share**2, count)
     beside = np.bincount(left, share * (1 - share), count)
     force = np.bincount(left, (1 - share) * off, count) + np.bincount(left + 1, share * off, count)

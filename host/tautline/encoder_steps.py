@@ -36,8 +36,9 @@ class Steps:
 
 
 def steps_of(motor: Motor, resolution: float) -> Steps | None:
-    """The steps of the readings: the rig's (`resolution`), whatever their zero, or a coarser one, if a share _MOST of
-    the readings is within _WHOLE of a whole count; None where readings have no steps."""
+    """The encoder's steps as the readings show them: of the rig's size (`resolution`, unit of q), whatever their zero,
+    or of a coarser one, if a share _MOST of the readings is within _WHOLE of a whole count. None where readings have no
+    steps."""
     moves = np.abs(np.diff(motor.q))
     moves = moves[moves > _MOVED * resolution]
     if len(moves) < 2:
@@ -54,8 +55,8 @@ def steps_of(motor: Motor, resolution: float) -> Steps | None:
 
 @dataclass(frozen=True)
 class Rest:
-    """The motor stands at `q`, the rig's unit, from `start_s` to `end_s`, the same where it turns at once; the count
-    last changed before it at `since_s` and next changes at `until_s`."""
+    """The motor stands at `q`, the rig's unit, from start_s to end_s, s, which are equal where it turns at once. The
+    count before that last changed at since_s, and it changes next at until_s."""
 
     q: float
     start_s: float
@@ -66,7 +67,8 @@ class Rest:
 
 @dataclass(frozen=True)
 class Stops:
-    """`slows_down`: the motor does to most of its stops, and speeds up from them, or has none; else its speed jumps."""
+    """`rests`: where the motor rests or turns. `slows_down`: at half or more of the sides of these, before and after,
+    it slows down or speeds up, or there are none; else its speed jumps."""
 
     rests: list[Rest]
     slows_down: bool
@@ -82,9 +84,10 @@ class _Vertex:
 
 
 def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
-    """Where the motor rests or turns, extrapolated from the changes of count before and after at constant acceleration:
-    an encoder shows nothing of the last count before a stop, which takes 13 ms at 12 mm/s^2 and 1 um. Stops without a
-    change of count that tells them are left out."""
+    """Finds where the motor rests or turns: in a count in which its direction changes, or which lasts longer than
+    REST_S and than both counts beside it together. The last count before a stop, in which an encoder shows nothing (13
+    ms at 12 mm/s^2 and 1 um), is extrapolated from the changes of count before and after, at constant acceleration. A
+    stop is left out where neither side has enough changes for that. encoder: the readings' steps."""
     t, counts = motor.t_s, encoder.counts
     changes = np.flatnonzero(np.diff(counts))
     # Of each of k changes of count: when, s, by how many counts, and where the motor is then, counts.
@@ -92,17 +95,15 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
     stops, asked, slowing = [], 0, 0  # asked: sides of stops, before and after; slowing: those at which it slows down
-    # Below (k + 1,), i of the count that holds from change i - 1 to change i: when it begins, whether the motor turns
-    # in it, how long it lasts.
-    edges = np.concatenate([t[:1], at, t[-1:]])
-    turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
+    # Count i, of k + 1, holds from change i - 1 to change i.
+    edges = np.concatenate([t[:1], at, t[-1:]])  # when each begins, and the last one ends
     lasts = np.diff(edges)
-    padded = np.concatenate([[0.0], lasts, [0.0]])
-    beside = padded[:-2] + padded[2:]  # a motor that only passes is as long in each of its counts
-    for i in np.flatnonzero(turned | (lasts > np.maximum(beside, REST_S))):
+    turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])  # the motor turns in this count
+    for i in np.flatnonzero(turned | _outlasts_neighbours(lasts)):
         first, last = i == 0, i == len(changes)
         centre = counts[0] if first else counts[changes[i - 1] + 1]
         since, until, turns = edges[i], edges[i + 1], turned[i]
+        # How the motor comes to the stop, and, as time reversed is alike, how it leaves it.
         slows = None if first else _stop_by_parabola(at[:i][::-1], boundary[:i][::-1], step[:i][::-1], centre, period)
         starts = None if last else _stop_by_parabola(at[i:], boundary[i:], -step[i:], centre, period)
         sides = [side for side in (slows, starts) if side is not None]
@@ -111,7 +112,7 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
         if not sides:
             continue
         middle = 0.5 * (since + until)
-        # Where no vertex is told it comes as fast as through the count before, within a sample where it jumps.
+        # Without a parabola on a side the motor is taken to go as fast as through the count beside it.
         start_s = since + min(slows.lasts_s if slows else _half_count_s(t, changes, step, lasts, i - 1), middle - since)
         end_s = until - min(starts.lasts_s if starts else _half_count_s(t, changes, step, lasts, i), until - middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
@@ -121,10 +122,19 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     return Stops(stops, 2 * slowing >= asked)
 
 
+def _outlasts_neighbours(lasts: Array) -> npt.NDArray[np.bool_]:
+    """(k,) Which counts last longer than REST_S and than both counts beside them together: a motor that only passes
+    through stays as long in each. lasts (k,): how long each count holds, s."""
+    padded = np.concatenate([[0.0], lasts, [0.0]])
+    beside = padded[:-2] + padded[2:]
+    return np.asarray(lasts > np.maximum(beside, REST_S))
+
+
 def _half_count_s(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:
-    """Half the time, s, that the motor takes for the shorter of both counts beside the i-th change of count; half a
-    sample where it goes by several counts at once, 0 where there is no such change. t (n,): the samples, s; changes
-    (k,): the last sample before each change; step (k,): its counts; lasts (k + 1,): how long each count holds, s."""
+    """Half the time, s, that the motor takes for the shorter of the two counts beside the i-th change of count. Half a
+    sample where the change is by several counts at once, 0 where there is no such change. t (n,): the samples' times,
+    s; changes (k,): the last sample before each change; step (k,): by how many counts it is; lasts (k + 1,): how long
+    each count holds, s."""
     if not 0 <= i < len(changes):
         return 0.0
     if abs(step[i]) > 1:
@@ -133,16 +143,17 @@ def _half_count_s(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: A
 
 
 def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, period: float) -> _Vertex | None:
-    """How the motor comes to its stop within a count: the vertex of a parabola through as many changes of count, the
-    nearest first, as it fits; halfway to the second change, and not sure, where the parabola has no vertex within a
-    count. None for too few changes. Of each of the changes, the one nearest to the stop first: at (k,), s; boundary and
-    step (k,), counts. centre: the count stopped in; period: of the samples, s."""
+    """How the motor comes to its stop within a count: the vertex of a parabola away(s) = offset + speed s + bend s^2
+    through as many of the nearest changes of count as it fits, s being the time before the nearest one. Where it has no
+    vertex within a count the motor does not slow down: it stops after half the time to the second change. None for too
+    few changes. Of each change, the nearest to the stop first: at (k,), s; boundary and step (k,), counts. centre: the
+    count that it stops in; period: of the samples, s."""
     most, least = CHANGES
     way = np.sign(step[0])
     breaks = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
     n = min(len(at), most, int(breaks[0]) if len(breaks) else most)
     while n >= least:
-        away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
+        away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])  # counts from the stop's centre; s
         gaps = np.diff(since)
         # A change that comes after a while is known to a fraction of a count.
         sure = np.maximum(1.0, 0.5 * (np.append(gaps[0], gaps) + np.append(gaps, gaps[-1])) / period)
@@ -159,9 +170,10 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
     return None
 
 
-def stopped(path: Driven, stops: list[Rest], count: float) -> tuple[Driven, npt.NDArray[np.bool_]]:
-    """The path with each rest at one level, to which it comes and which it leaves at constant acceleration, and a node
-    at each turn; and (n,) which of its nodes were put in for that. count: the encoder's step."""
+def with_level_rests(path: Driven, stops: list[Rest], count: float) -> tuple[Driven, npt.NDArray[np.bool_]]:
+    """Returns the path with each rest of `stops` at one level, which the motor comes to and leaves at constant
+    acceleration, and with a node at each turn; and which of its nodes (n,) were put in for that. count: the encoder's
+    step, unit of q."""
     nodes = np.stack([path.t_s, path.q, path.sigma])
     length = nodes.shape[1]
     kept, ends = np.ones(length, dtype=bool), np.empty((3, 0))
@@ -182,9 +194,11 @@ def stopped(path: Driven, stops: list[Rest], count: float) -> tuple[Driven, npt.
 def _rest_nodes(
     nodes: Array, first: int, last: int, within: tuple[int, int], count: float
 ) -> tuple[int, int, Array] | None:
-    """The last node of the motion before a rest and the first one after it, and the rest's ends (3, 2); None where none
-    of it is left. nodes (3, n): times, positions and sigmas; those from `first` to `last` rest, the stops beside it are
-    not `within`. Within half a count of a rest no reading changes."""
+    """Replaces the nodes of a rest. Returns the last node before it, the first one after it, and the rest's two ends
+    (3, 2), where the motor comes to a stand and where it starts; None where these ends cross. nodes (3, n): times, s,
+    positions and sigmas, of which those from `first` to before `last` rest; within: where the stop before ends, and the
+    one after begins. Nodes within half a count, `count`, of the rest's level are part of it, as no reading changes
+    there."""
     (t_s, q), length = nodes[:2], nodes.shape[1]
     level, sigma = float(np.mean(q[first:last])), float(np.median(nodes[2, first:last]))
     before, after = first - 1, last
@@ -195,23 +209,23 @@ def _rest_nodes(
     since_s, until_s = float(t_s[0]), float(t_s[-1])
     if before >= 0:
         latest_s = float(t_s[min(first + _UNSEEN, last - 1)])
-        since_s = _stands(t_s[: before + 1], q[: before + 1], latest_s, float(t_s[first]))
+        since_s = _standstill_s(t_s[: before + 1], q[: before + 1], latest_s, float(t_s[first]))
     if after < length:
         latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])  # the same with time reversed
-        until_s = -_stands(-t_s[after:][::-1], q[after:][::-1], latest_s, -float(t_s[last - 1]))
+        until_s = -_standstill_s(-t_s[after:][::-1], q[after:][::-1], latest_s, -float(t_s[last - 1]))
     if since_s >= until_s:
         return None
     return before, after, np.array([[since_s, until_s], [level, level], [sigma, sigma]])
 
 
-def _stands(t_s: Array, q: Array, latest_s: float, else_s: float) -> float:
-    """When, s, a motor that slows down evenly stands still, by its last nodes t_s, q (n,), at latest_s at the latest;
-    else_s where they do not tell."""
+def _standstill_s(t_s: Array, q: Array, latest_s: float, else_s: float) -> float:
+    """The time, s, at which a motor that slows down evenly stands still, extrapolated from the speeds between its last
+    nodes t_s, q (n,); else_s where there are too few nodes, it does not slow down, or that would be after latest_s."""
     if len(t_s) <= _SLOWING:
         return else_s
     t_s, q = t_s[-_SLOWING - 1 :], q[-_SLOWING - 1 :]
     middle, speeds = 0.5 * (t_s[1:] + t_s[:-1]) - t_s[-1], np.diff(q) / np.diff(t_s)
-    about = middle - middle.mean()
+    about = middle - middle.mean()  # a straight line through the speeds: `speed` at the last node, `bend` a second
     bend = float(about @ speeds / (about @ about))
     speed = float(speeds.mean() - bend * middle.mean())
     at_s = float(t_s[-1] - speed / bend) if speed * bend < 0.0 else np.inf
@@ -219,8 +233,9 @@ def _stands(t_s: Array, q: Array, latest_s: float, else_s: float) -> float:
 
 
 def _turn_node(nodes: Array, near: int) -> tuple[int, int, Array] | None:
-    """The nodes on either side of a turn next to node `near`, and (3, 1) time, position and sigma of one where the
-    motor turns, in place of the one between them. None where it does not turn there. nodes: as in `_rest_nodes`."""
+    """Replaces the node at a turn, next to node `near`. Returns the nodes before and after it, and (3, 1) time, s,
+    position and sigma where the speed, straight between the middles of intervals, is 0; None where the motor does not
+    turn there. nodes: as in `_rest_nodes`."""
     t_s, q, sigma = nodes[:, max(near - _SLOWING, 0) : near + _SLOWING]
     speed, middle = np.diff(q) / np.diff(t_s), 0.5 * (t_s[1:] + t_s[:-1])
     turns = np.flatnonzero(speed[1:] * speed[:-1] < 0.0)

@@ -13,7 +13,8 @@ from tautline.errors import TautError, of_system
 
 
 def check_replaceable(folder: Path, key_file: str) -> None:
-    """TautError unless the folder can be written, and is new, empty, or an earlier result (it holds `key_file`)."""
+    """Raises TautError unless the folder can be written, and is new, empty, or an earlier result, which holds
+    `key_file`."""
     check_writable(folder)
     if folder.is_dir():
         if (folder / key_file).exists() or not any(folder.iterdir()):
@@ -24,8 +25,8 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """TautError where no file or folder can be written at `path`, or where its links lead. Tries it: makes a temporary
-    folder beside it and removes it."""
+    """Raises TautError where no file or folder can be written at `path`, or where its links lead. Tries it: makes a
+    temporary folder beside it and removes it. Passes for a device or a pipe."""
     try:
         if is_stream(path):
             return
@@ -33,7 +34,7 @@ def check_writable(path: Path) -> None:
         if os.path.ismount(place):
             raise TautError(f"{path}: is a mount point, whose place nothing can take: name a folder in it")
         there = next(each for each in place.parents if each.exists())
-        # Its name is as long as those that will be written.
+        # The temporary folder's name is as long as those that will be written.
         with tempfile.TemporaryDirectory(".old", f".{place.name}.", there):
             pass
     except OSError as error:
@@ -43,8 +44,8 @@ def check_writable(path: Path) -> None:
 @contextmanager
 def replaced_folder(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
     """Yields a temporary folder to write into, which takes `folder`'s place when the block ends without an error. Other
-    files in `folder` are kept, except those that match `stale` (patterns), which belong to the earlier result.
-    key_file: as in `check_replaceable`."""
+    files in `folder` are kept, except those that match `stale` (patterns), which belong to the earlier result. After an
+    error `folder` is as it was; TautError where the system refuses to write. key_file: as in `check_replaceable`."""
     folder = Path(os.path.realpath(folder))  # where it is a link, what it leads to is replaced
     check_replaceable(folder, key_file)
     beside = folder.with_name(f".{folder.name}.{os.getpid()}.new")
@@ -74,14 +75,15 @@ def replaced_folder(folder: Path, key_file: str, stale: Sequence[str] = ()) -> I
 
 
 def is_stream(path: Path) -> bool:
-    """Whether there is a device, a pipe or a socket at `path`, or where its links lead: nothing takes its place."""
+    """Whether there is a device, a pipe or a socket at `path`, or where its links lead: no file may take its place."""
     return path.exists() and not (path.is_file() or path.is_dir())
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yields a temporary path to write a file to, which takes the place of `path` when the block ends without an error;
-    where that is a link, the place of what it leads to."""
+    """Yields a temporary path to write a file to, which takes the place of `path`, or of the file that `path` links to,
+    when the block ends without an error; after one `path` is as it was. TautError where `path` is a folder, a device or
+    a pipe, or cannot be written."""
     if path.is_dir():
         raise TautError(f"{path}: is a folder: name a file")
     if is_stream(path):
@@ -100,7 +102,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_file(path: Path, text: str) -> None:
-    """Writes text into a file, whole or not at all. A device or a pipe is written into as it is."""
+    """Writes text into a file, whole or not at all; into a device or a pipe as it is. TautError where it cannot be
+    written."""
     if not is_stream(path):
         with whole_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="")

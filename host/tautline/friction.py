@@ -37,23 +37,24 @@ class Friction:
     forgotten: ClassVar[float] = 3e-5  # tolerance: of the range, what a start shows by; it forgets by and by
 
     def __post_init__(self) -> None:
-        """ValueError where the numbers are none of either law."""
+        """Raises ValueError for an unknown kind, numbers that are not finite, an exponent of 0 or less, or a beta
+        outside 0 to 1."""
         values = np.array([getattr(self, name) for name in VALUES])
         if self.kind not in KINDS or not (np.isfinite(values).all() and self.exponent > 0.0 and 0 <= self.beta <= 1):
             raise ValueError("friction: Bouc-Wen's or Dahl's, finite, exponent > 0, beta from 0 to 1")
 
     def says(self, unit: str) -> str:
-        """The law and its numbers in words; unit: of q."""
+        """The law and its numbers in words, for a report. unit: of q."""
         name, beta = ("Bouc-Wen's", f", beta {self.beta:.2g}") if self.kind == BOUC_WEN else ("Dahl's", "")
         return f"{name} (exponent {self.exponent:.2g}{beta}, length {self.length:.3g} {unit} + {self.share:.2g} B)"
 
     @property
     def steepest(self) -> float:
-        """R(-1): how fast z leaves an envelope after a full reversal."""
+        """R(-1): the rate at which z leaves an envelope after a full reversal, in units of 1 / (length + share B)."""
         return 2.0 * self.beta if self.kind == BOUC_WEN else float(2.0**self.exponent)
 
     def native(self, grid: Array, width: Array) -> Any:
-        """The C object on a backlash table: B width (n,) at positions grid (n,)."""
+        """The C object that runs this friction on a backlash table: B width (n,) at positions grid (n,), unit of q."""
         values = (self.length, self.share, self.exponent, self.beta)
         return _native.Plays(grid, width, KINDS[self.kind], *values)
 
@@ -64,6 +65,6 @@ class Friction:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        """Reads what `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         values = [float(document[name]) for name in VALUES if name != "beta" or name in document]
         return cls(str(document["kind"]), *values)

@@ -25,7 +25,8 @@ PLACED_PX = 0.05  # prior: by docs/marker.md, 0.015 to 0.05
 
 
 def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
-    """g of the paper: the marker's position (n, 3) mm in the bending section's frame, at bending angles c (n,) deg."""
+    """g of the paper: the marker's position (n, 3), mm, in the frame of the bending section, at bending angles c (n,),
+    deg: a section of constant curvature, then a straight tip. c > 0 bends towards +x."""
     c = np.radians(np.atleast_1d(np.asarray(c_deg, dtype=float)))
     length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
     sin, cos = np.sin(c), np.cos(c)
@@ -45,7 +46,7 @@ def rotation(angles_deg: tuple[float, float, float]) -> Array:
 
 
 def about_base_z(angle_deg: npt.ArrayLike, vector: Array) -> Array:
-    """Rz(angle) applied to (n, 3) vectors; angle (n,) or scalar, deg."""
+    """(n, 3) Vectors turned by `angle_deg` about z, Rz(angle) v; angle (n,) or scalar, deg."""
     a = np.radians(np.asarray(angle_deg, dtype=float))
     sin, cos = np.sin(a), np.cos(a)
     x, y, z = vector.T
@@ -53,14 +54,14 @@ def about_base_z(angle_deg: npt.ArrayLike, vector: Array) -> Array:
 
 
 def to_camera(hand_eye: HandEye, base: Array) -> Array:
-    """X_cam = R X_base + t, (n, 3) mm."""
+    """Base points (n, 3), mm, in the camera's frame: X_cam = R X_base + t."""
     product: Array = base @ rotation(hand_eye.rotation_deg).T + np.asarray(hand_eye.translation_mm)
     return product
 
 
 def to_image(camera: Camera, point: Array) -> Array:
-    """h of the paper: pinhole projection with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n,
-    3) mm; NaN where a point is not in front of the camera."""
+    """h of the paper: the image positions (n, 2), px, of points (n, 3), mm, in the camera's frame, by a pinhole with
+    OpenCV's distortion k1 k2 p1 p2 k3; NaN where a point is not in front of the camera."""
     seen = point[:, 2:] > 1e-6
     ahead = np.where(seen, point, [0.0, 0.0, 1.0])
     image, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))
@@ -68,8 +69,8 @@ def to_image(camera: Camera, point: Array) -> Array:
 
 
 def projection_rig(rig: Rig) -> Array:
-    """The fields of struct projection_rig (host/native/projection.h) in order, mm, px and deg, (m,). TautError where
-    the rig has no camera that a marker can be projected to."""
+    """(m,) The rig as C has it: the fields of struct projection_rig (host/native/projection.h) in order, mm, px and
+    deg. TautError where the rig has no camera that a marker can be projected to."""
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
         raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
     camera, place = rig.camera, rig.place
@@ -89,9 +90,9 @@ def projection_rig(rig: Rig) -> Array:
 def project_with_slope(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """h(g(c)) (n, 2) px and J = d(h g)/dc (n, 2) px per deg (eq. 6, 7). The other two degrees of freedom are (n,) or
-    scalar: P_base = Rz(rotation) (P_bend(c) + [0, 0, translation]). NaN where the marker is not in front of the
-    camera."""
+    """The marker's image position h(g(c)) (n, 2), px, and its derivative d(h g)/dc (n, 2), px per deg (eqs. 6 and 7),
+    at bending angles c_deg (n,). The instrument's two other axes are (n,) or scalar: P_base = Rz(rotation) (P_bend(c) +
+    [0, 0, translation]). NaN where the marker is not in front of the camera."""
     image, slope, _ = _native.see({}, projection_rig(rig), *_poses(c_deg, translation_mm, rotation_deg), slopes=True)
     return image, slope
 
@@ -99,13 +100,15 @@ def project_with_slope(
 def project(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> Array:
-    """The marker's image position (n, 2) px at bending angles c (n,) deg (eq. 6)."""
+    """The marker's image position (n, 2), px, at bending angles c_deg (n,) (eq. 6); arguments and NaN as in
+    `project_with_slope`."""
     image: Array = _native.see({}, projection_rig(rig), *_poses(c_deg, translation_mm, rotation_deg))
     return image
 
 
 def across(vectors: Array, way: Array) -> Array:
-    """(n, ...) The part of image vectors (n, 2, ...) that is normal to the direction `way` (n, 2), of any length."""
+    """(n, ...) The component of image vectors (n, 2, ...) along the normal of the direction `way` (n, 2), which may
+    have any length: way turned by 90 deg from u towards v."""
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
     return np.asarray(np.einsum("nk,nk...->n...", np.column_stack([-unit[:, 1], unit[:, 0]]), vectors))
 
@@ -113,7 +116,8 @@ def across(vectors: Array, way: Array) -> Array:
 def px_per_deg(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> Array:
-    """(n,) How far the marker moves in the image per deg of bending, at bending angles c (n,) deg."""
+    """(n,) How far, px, the marker moves in the image per deg of bending, at bending angles c_deg (n,); other arguments
+    as in `project_with_slope`."""
     return np.asarray(np.linalg.norm(project_with_slope(rig, c_deg, translation_mm, rotation_deg)[1], axis=1))
 
 
@@ -124,16 +128,16 @@ def tracked_deg(
     translation_mm: npt.ArrayLike = 0.0,
     rotation_deg: npt.ArrayLike = 0.0,
 ) -> Array:
-    """(n,) One standard deviation, deg, of f_remain by a tracker that is off by a constant d(u, v) of rms tracked_px
-    per coordinate. Frames see f + s.d / |s|^2, s in px per deg, so no number of them tells d from f; B and delay, which
-    compare passes over one place, are free of it."""
+    """(n,) One standard deviation, deg, of f_remain by a tracker whose error d = (du, dv) is constant, of rms
+    tracked_px per coordinate. Frames show f + s.d / |s|^2, where s is the marker's motion in px per deg, so that no
+    number of frames tells d from f. B and the delay, which compare passes over one place, are free of it."""
     if not tracked_px:
         return np.zeros(np.shape(c_deg))
     return tracked_px / px_per_deg(rig, c_deg, translation_mm, rotation_deg)
 
 
 def _poses(*columns: npt.ArrayLike) -> list[Array]:
-    """The columns, broadcast to one length (n,) and contiguous, as C takes them."""
+    """The columns, each (n,) or scalar, broadcast to one length (n,) and contiguous, as C takes them."""
     flat = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, dtype=float)) for column in columns))
     return [np.ascontiguousarray(column) for column in flat]
 
@@ -146,9 +150,10 @@ def pose(
     start_deg: npt.ArrayLike | None = None,
     iterations: int = 60,
 ) -> tuple[Array, Array]:
-    """The bending angle (n,) deg whose projection is nearest to the image positions (n, 2) px, and the distance (n,)
-    px that is left. Levenberg-Marquardt of eq. 8 for all samples at once, with the analytic Jacobian; it starts at
-    the nearest of a grid over the coarse range and half as much again unless start_deg says where. NaN stays NaN."""
+    """The bending angle (n,), deg, whose projection is nearest to the image positions image_px (n, 2), and the distance
+    that is left (n,), px; both NaN where a position is NaN. Solves eq. 8 by Levenberg-Marquardt for all samples at
+    once, in at most `iterations` steps, from start_deg or else from the nearest angle of a grid over the coarse range
+    and half as much again. translation_mm, rotation_deg: of the other axes, (n,) or scalar."""
     image = np.atleast_2d(np.asarray(image_px, dtype=float))
     count = len(image)
     translation = np.broadcast_to(np.asarray(translation_mm, dtype=float), (count,))
@@ -162,7 +167,7 @@ def pose(
     predicted, slope = project_with_slope(rig, c, translation, turn)
     error = image - predicted
     cost = np.sum(error * error, axis=1)
-    going = np.flatnonzero(np.isfinite(cost))
+    going = np.flatnonzero(np.isfinite(cost))  # samples whose search goes on
     for _ in range(iterations):
         if not len(going):
             break
@@ -185,14 +190,15 @@ def pose(
 
 
 def coarse_range_deg(rig: Rig) -> tuple[float, float]:
-    """The lowest and highest bending angle that f_coarse gives over the motor's range."""
+    """The lowest and highest bending angle, deg, that f_coarse gives over the motor's range."""
     ends = [rig.coarse.gain * q + rig.coarse.offset for q in rig.actuator.range]
     return min(ends), max(ends)
 
 
 def _nearest_on_grid(rig: Rig, image: Array, translation: Array, turn: Array) -> Array:
-    """Start angles (n,), deg, for `pose`: those of a grid, over the coarse range and half as much again, whose image is
-    nearest to image (n, 2), px. translation, turn (n,): of the other axes, mm and deg."""
+    """Start angles (n,), deg, for `pose`: of a grid over the coarse range and half as much again, the angle whose image
+    is nearest to image (n, 2), px; the range's middle where that is NaN. translation, turn (n,): of the other axes, mm
+    and deg."""
     low, high = coarse_range_deg(rig)
     margin = _BESIDE * (high - low)
     grid = np.linspace(low - margin, high + margin, _GRID)

@@ -30,12 +30,12 @@ class Problem(Protocol[Point]):
     """A cost that `descend` makes small, of unknowns that the problem itself keeps in its points."""
 
     def linearised(self, point: Point) -> tuple[Array, Array, float]:
-        """Normal matrix (m, m), gradient (m,), in the direction that lowers the cost, and cost at a point, priors
-        included. Robust weights stay until the next call."""
+        """Normal matrix (m, m), gradient (m,) in the direction that lowers the cost, and the cost, at a point, priors
+        included. The robust weights of this point hold until the next call."""
         ...
 
     def moved(self, point: Point, step: Array) -> Point:
-        """The point a step (m,) further, within what the unknowns may be."""
+        """The point that is a step (m,) further, kept within what the unknowns may be."""
         ...
 
     def cost(self, point: Point) -> float:
@@ -43,13 +43,14 @@ class Problem(Protocol[Point]):
         ...
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether a step that lowered the cost by `gained`, from `cost`, was the last that is worth making."""
+        """Whether to end the search after a step that lowered the cost by `gained`, from `cost`."""
         ...
 
 
 def descend(problem: Problem[Point], point: Point, most: int) -> Point:
-    """The best point after at most `most` damped Gauss-Newton steps from `point`: a step that raises the cost is tried
-    again with more damping, and if none lowers it, the search ends."""
+    """The best point after at most `most` damped Gauss-Newton steps from `point`. A step that does not lower the cost
+    is tried again with more damping; the search ends where none of _TRIES lowers it, or where the problem has
+    `enough`."""
     damping = _DAMPING
     for _ in range(most):
         matrix, gradient, cost = problem.linearised(point)
@@ -82,14 +83,15 @@ def factor(matrix: Array) -> tuple[Array, bool]:
 
 
 def with_ridge(matrix: Array) -> Array:
-    """The matrix (m, m) with a negligible ridge on its diagonal."""
+    """A copy of the matrix (m, m) with a negligible ridge added to its diagonal."""
     ridged = np.array(matrix)
     ridged[np.diag_indices_from(ridged)] += _RIDGE * np.diag(matrix) + _FLOOR
     return ridged
 
 
 def inverse_of(matrix: Array) -> Array:
-    """Inverse of a symmetric positive definite matrix (m, m). Raises LinAlgError where it is not."""
+    """Inverse of a symmetric positive definite matrix (m, m), by its Cholesky factor. LinAlgError where it is not
+    positive definite."""
     factored, failed = dpotrf(matrix.T, lower=True)
     if failed:
         raise LinAlgError("the matrix is not positive definite")

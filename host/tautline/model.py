@@ -45,7 +45,7 @@ class Effect:
 
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Self:
-        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        """Reads what `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         found = cls(told["id"], dict(told["parameters"]))
         numbers = [value for value in found.parameters.values() if not isinstance(value, str)]
         texts = [name for name, value in found.parameters.items() if isinstance(value, str)]
@@ -56,7 +56,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Deviation:
-    """What a model would have instead of its own if all of its unknowns were off together, one way."""
+    """Tables, delay and effects that a model would have if all of its unknowns were off together in one direction."""
 
     width: Array  # (n,) B on the model's grid, unit of q
     c_deg: Array  # (n,) f_remain
@@ -65,7 +65,7 @@ class Deviation:
 
     @classmethod
     def of(cls, model: Model) -> Self:
-        """Takes the tables, delay and effects of a model whose unknowns have been moved off its best ones."""
+        """The tables, delay and effects of `model`, which is one whose unknowns have been moved off its best ones."""
         return cls(model.width, model.c_deg, model.delay_s, model.effects)
 
     def to_json(self) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class Deviation:
 
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Self:
-        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        """Reads what `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         width, c_deg = (np.array(told[name], dtype=float) for name in ("width", "c_deg"))
         effects = tuple(map(Effect.from_json, told["effects"]))
         return cls(width, c_deg, float(told["delay_s"]), effects)
@@ -87,7 +87,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What a model is off by beside the sigmas of its tables; nothing where no calibration or diagnosis has told it."""
+    """What a model may be off by beside the sigmas of its tables, where a calibration or a diagnosis has found it."""
 
     noise: float | None = None  # one standard deviation of a reading about its prediction, px a coordinate or deg
     noise_times: Array | None = None  # (n,) of it, where the tip is at a node: noise that differs from place to place
@@ -112,8 +112,8 @@ class Uncertainty:
 
     @classmethod
     def from_json(cls, told: Mapping[str, Any], nodes: int) -> Self:
-        """What `to_json` gave, of a model with tables of `nodes`. KeyError, TypeError or ValueError where it is
-        something else."""
+        """Reads what `to_json` gave, for a model whose tables have `nodes` values. KeyError, TypeError or ValueError
+        where it is something else."""
         by_delay, times = told.get("width_by_delay"), told.get("noise_times")
         pairs = tuple(
             (Deviation.from_json(below), Deviation.from_json(above)) for below, above in told.get("deviations", ())
@@ -169,21 +169,22 @@ class Model(Value):
 
     @property
     def is_measured(self) -> npt.NDArray[np.bool_]:
-        """(n,) At which nodes of the grid B was measured."""
+        """(n,) Whether B was measured at each node of the grid."""
         return np.asarray((self.q >= self.measured[0]) & (self.q <= self.measured[1]))
 
     @property
     def alone(self) -> Self:
-        """The same model without its effects."""
+        """The model itself if it has no effects, else a copy without them."""
         return replace(self, effects=()) if self.effects else self
 
     def delay_of(self, sensor: Sensor) -> float:
-        """How much older, s, than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
+        """How old, s, a sensor's reading is when it arrives: as calibrated for the sensor that the model was calibrated
+        with, the rig's nominal delay for another one."""
         return self.delay_s if sensor == self.sensor else self.rig.nominal_delay_s(sensor)
 
     def noise_of(self, sensor: Sensor) -> float:
-        """One standard deviation of a sensor's noise, px a coordinate or deg: what the calibration left, or a usual
-        value for a sensor that it had not."""
+        """One standard deviation of a sensor's noise, px a coordinate or deg: what the calibration left with this
+        sensor; a usual value for another sensor, or where that is 0 or not known."""
         known = self.uncertainty.noise if sensor == self.sensor else None
         return known or _USUAL_NOISE[sensor]
 
@@ -194,23 +195,25 @@ class Model(Value):
         return Play(self.q, self.width, self.friction or self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
-        """f_remain: bending angles (n,), deg, at centre coordinates p (n,), unit of q; any other shape as well."""
+        """f_remain: bending angles, deg, at centre coordinates p (n,), unit of q, or of any other shape; same shape."""
         return interpolate(p, self.q, self.c_deg)
 
     def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
-        """Centre coordinates (n,), unit of q, at which f_remain is c_deg (n,); of any other shape as well."""
+        """Centre coordinates, unit of q, at which f_remain is c_deg (n,), or of any other shape; same shape."""
         return interpolate_inverse(c_deg, self.q, self.c_deg)
 
     def simulate(self, motor: Motor, t_s: npt.ArrayLike, start_deg: float | None = None) -> Array:
-        """Bending angles (n,) deg at scene times t_s (n,) (the motor's clock: no delay in them), in any order. The tip
-        starts on the centre line, c = f_remain(q[0]), or at start_deg. q is held before and after the motor's samples.
-        Effects are not in it: see tautline.effects."""
+        """Bending angles (n,), deg, at scene times t_s (n,), s, in any order, by the play and f_remain alone, without
+        effects (for these see tautline.effects). Scene times are on the motor's clock: no delay is in them. The tip
+        starts on the centre line, c = f_remain(q[0]), or at start_deg. q is held before and after the motor's
+        samples."""
         p0 = np.nan if start_deg is None else float(self.remaining_inverse(start_deg))
         motor = straight_lines(motor, self.rig.actuator.encoder_resolution)
         return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.play, p0))
 
     def save(self, folder: str | Path) -> None:
-        """Writes model.json and rig.toml. Raises TautError where the folder cannot be written."""
+        """Writes model.json and rig.toml into the folder, which is made if it is not there. TautError where it cannot
+        be written."""
         folder = Path(folder)
         document: dict[str, Any] = {
             "format": FORMAT,
@@ -240,7 +243,8 @@ class Model(Value):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """What `save` wrote. Raises TautError where a file is missing, damaged or no model's."""
+        """Reads what `save` wrote. TautError where a file is missing, damaged or no model's, or the two files are in
+        different units."""
         folder = Path(folder)
         path, document = folder / MODEL_FILE, _document(folder)
         try:
@@ -301,7 +305,8 @@ class Model(Value):
 
 
 def _document(folder: Path) -> dict[str, Any]:
-    """A model's JSON, as it is written, with all the keys that it must have. TautError as of `Model.load`."""
+    """Reads a model's JSON as it is written, and checks that all keys which it must have are there. TautError as of
+    `Model.load`."""
     path = folder / MODEL_FILE
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -327,8 +332,9 @@ def _document(folder: Path) -> dict[str, Any]:
 
 
 def _uncertainty_of_old_model(extra: Mapping[str, Any]) -> dict[str, Any]:
-    """The uncertainty, as Uncertainty.from_json takes it, of a model that was written before 2026-11-27: then it stood
-    in `extra`, among what the report shows."""
+    """The uncertainty, as Uncertainty.from_json takes it, of a model written before 2026-11-27, when its parts were in
+    `extra` among what the report shows. The noise was the larger rms there, if any; B's change by the delay is left out
+    unless it is known at all nodes."""
     evidence, by_delay = extra.get("evidence", {}), extra.get("width_by_delay")
     rms = [value for name in ("residual", "error") if (value := evidence.get(name)) is not None and value > 0.0]
     if by_delay is not None and None in by_delay:  # not known everywhere
@@ -337,19 +343,19 @@ def _uncertainty_of_old_model(extra: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_backlash_table(grid: Array, width: Array) -> bool:
-    """Whether the play is unique on a table of B, width (n,) at grid (n,): grid rising, width >= 0, |width'| < 2."""
+    """Whether a table of B, width (n,) at grid (n,), makes the play unique: grid rising, width >= 0, |width'| < 2."""
     step = np.diff(grid)
     return bool((step > 0).all() and (width >= 0).all() and (np.abs(np.diff(width)) < 2 * step).all())
 
 
 def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Array:
-    """(n,) The nearest valid backlash table from below, of width (n,) on a rising grid (n,): at least 0, and nowhere
-    steeper than `steepest`: the least of the cones of that slope that stand on the widths."""
+    """(n,) The largest backlash table that is nowhere above width (n,), 0 at least, and nowhere steeper than
+    `steepest`, |B'|. grid (n,): rising, in the unit of width."""
     step = steepest * np.diff(grid)
     lawful: Array = np.maximum(width, 0.0)
     if (np.abs(np.diff(lawful)) <= step).all():
         return lawful
-    reach = np.concatenate([[0.0], np.cumsum(step)])
+    reach = np.concatenate([[0.0], np.cumsum(step)])  # what a width may change by from the first node on
     rising: Array = reach + np.minimum.accumulate(lawful - reach)
     both: Array = np.minimum.accumulate((rising + reach)[::-1])[::-1] - reach
     cut: Array = np.maximum(both, 0.0)
@@ -357,8 +363,8 @@ def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Arra
 
 
 def monotone(c_deg: Array) -> Array:
-    """f_remain (n,), deg, made strictly rising or falling where it is level, as a model's must be, by a millionth of
-    its mean slope."""
+    """f_remain (n,), deg, made strictly rising or falling where it is level or goes back, as a model's must be: by a
+    millionth of its mean slope at least."""
     sign = np.sign(c_deg[-1] - c_deg[0])
     ramp = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))  # what it rises by at least
     strict: Array = sign * (np.maximum.accumulate(sign * c_deg - ramp) + ramp)
@@ -367,7 +373,7 @@ def monotone(c_deg: Array) -> Array:
 
 def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     """values (n,) at a rising grid (n,), interpolated linearly at x of any shape; beyond the ends with the slope of the
-    last span."""
+    first or last span."""
     x = np.asarray(x, dtype=float)
     first = (values[1] - values[0]) / (grid[1] - grid[0])
     last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
@@ -376,8 +382,8 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
 
 
 def interpolate_inverse(y: npt.ArrayLike, grid: Array, values: Array) -> Array:
-    """Where `interpolate` of strictly monotone values (n,), rising or falling, on a rising grid (n,) is y; y and the
-    result are of any one shape."""
+    """The x at which `interpolate` of strictly monotone values (n,), rising or falling, on a rising grid (n,) is y, of
+    any shape; same shape."""
     rising = slice(None) if values[-1] > values[0] else slice(None, None, -1)
     return interpolate(y, values[rising], grid[rising])
 

@@ -38,21 +38,21 @@ class Nearest:
 
     @property
     def share(self) -> float:
-        """The share of what there is to undo that these plays leave."""
+        """What these plays leave, over what there is to undo: 0 is exact, 1 as bad as no compensation."""
         return self.left / max(self.undoes, 1e-300)
 
 
 def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tuple[float, float]) -> Nearest:
-    """The plays nearest to a hysteresis on loops of all sizes between the two ends `reached`, unit of q, and their
-    error: least squares, first of weights at fixed widths, then of both. One play where there is no backlash. grid,
-    width (n,): the table of B, unit of q."""
+    """The plays nearest to a hysteresis, by least squares on loops of all sizes between the two ends `reached`, unit of
+    q, and how far they are off. First the weights are fitted at fixed widths, then both. A single play where there is
+    no backlash. grid, width (n,): the table of B, unit of q."""
     if not np.any(width > 0.0):
         return Nearest(SINGLE, left=0.0, undoes=0.0)
     q = _test_motion(grid, width, reached)
     p = Play(grid, width, hysteresis).forward(q)
     warp = warp_of(grid, width, Play(grid, width).narrow)
     half = 0.5 * np.interp(p, grid, width)
-    # In the warp every play is as wide everywhere: its place there is the middle of where its two ends are.
+    # In the warp a play is equally wide everywhere: its centre there is the middle of the images of its two ends.
     y = 0.5 * (np.interp(p + half, warp.q, warp.x) + np.interp(p - half, warp.q, warp.x))
     elements = _fitted_elements(np.interp(q, warp.q, warp.x), y)
     off = Play(grid, width, elements).forward(q) - p
@@ -61,8 +61,9 @@ def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tu
 
 
 def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
-    """(n,) Motor positions of a random motion between the two ends `reached`, unit of q: full strokes, strokes to
-    anywhere and small loops of all sizes, _SAMPLES a backlash. The same each time. grid, width: the table of B."""
+    """(n,) Motor positions, unit of q, of a random motion between the two ends `reached`: full strokes, strokes to
+    anywhere and small loops of all sizes, with _SAMPLES positions for each mean width of B. Its seed is fixed: each
+    call gives the same motion. grid, width (n,): the table of B."""
     low, high = reached
     usual = float(np.mean(width[(grid >= low) & (grid <= high)]))
     rng = np.random.default_rng(0x100B)
@@ -85,33 +86,36 @@ def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Arr
 
 
 def _elements_response(x: Array, share: Array) -> Array:
-    """(n, m) Centre coordinate of a play of each width `share` (m,) along motor positions x (n,)."""
+    """(n, m) The centre coordinates of m plays, of the constant widths `share` (m,), along motor positions x (n,) in
+    the warp; each play starts at its centre."""
     far = _FAR * float(np.abs(x).max() + share.max())
     ends = np.array([-far, far])
     return np.column_stack([_native.Plays(ends, np.full(2, one)).forward(x, float(x[0]))[0] for one in share])
 
 
 def _fitted_elements(x: Array, y: Array) -> Elements:
-    """The elements, the first of weight _FIRST at least, whose mean is nearest to the tip y (n,) along the motor's path
-    x (n,), both in the warp, where B is 1. Least squares of widths and weights begin where non-negative ones of weights
-    alone end, at the widths _SHARES; two rows more, weighed by _STRICT, hold these to sum 1 and mean width 1."""
+    """Fits elements whose weighted mean is nearest to the tip y (n,) along the motor's path x (n,), both in the warp,
+    where B is 1; the first has a weight of at least _FIRST. Non-negative weights are fitted first, at the widths
+    _SHARES, with two more rows that hold their sum and the mean width to 1; from the merged result (`merged_elements`)
+    widths and weights are fitted together."""
     sums = _STRICT * np.vstack([np.ones(len(_SHARES)), _SHARES])
     rows = np.vstack([_elements_response(x, _SHARES) - x[:, None], sums])
     weights = nnls(rows, np.concatenate([y - x, [_STRICT, _STRICT]]))[0]
-    start = fewer(_SHARES[weights > _SLIGHT], weights[weights > _SLIGHT])
+    start = merged_elements(_SHARES[weights > _SLIGHT], weights[weights > _SLIGHT])
     n = len(start.width)
     gaps = np.diff(start.width, prepend=0.0)
     begin = np.concatenate([np.log(gaps), np.log(np.array(start.weight) - _FIRST * (np.arange(n) == 0) + _SLIGHT)])
 
     def parts(unknowns: Array) -> tuple[Array, Array]:
-        """Relative widths (mean 1) and weights (sum 1) by unconstrained unknowns (2 n,): logarithms of the differences
-        between widths, which so rise, and of the weights, but for a factor and _FIRST."""
+        """Widths (m,), whose mean is 1, and weights (m,), whose sum is 1, by unconstrained unknowns (2 m,): logarithms
+        of the differences between widths, which rise so, and logarithms of the weights beyond _FIRST, up to a common
+        factor."""
         weight = softmax(unknowns[n:]) * (1.0 - _FIRST) + _FIRST * (np.arange(n) == 0)
         share = np.cumsum(np.exp(np.clip(unknowns[:n], *_GAPS)))
         return share / float(weight @ share), weight
 
     def off(unknowns: Array) -> Array:
-        """(n,) The weighted mean of the plays with these unknowns, less y."""
+        """(n,) The weighted mean of the plays that these unknowns stand for, less y."""
         share, weight = parts(unknowns)
         return np.asarray(_elements_response(x, share) @ weight - y)
 
@@ -120,13 +124,15 @@ def _fitted_elements(x: Array, y: Array) -> Elements:
     return Elements(tuple((share / float(weight @ share)).tolist()), tuple(weight.tolist()))
 
 
-def fewer(width: Array, weight: Array) -> Elements:
-    """At most _PLAYS elements in place of many (width rising): each stands for a run of neighbours by their mean, the
-    runs chosen so that widths scatter least within them. The first run moves a share _FIRST of the tip at least."""
+def merged_elements(width: Array, weight: Array) -> Elements:
+    """At most _PLAYS elements in place of many, width (m,) rising with their weight (m,): each replaces a run of
+    neighbours by their mean, and the runs are those within which widths scatter least. The first has a weight of at
+    least _FIRST. Weights are scaled to sum 1, widths to mean 1."""
     weight = weight / weight.sum()
     sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
     ends = _least_scatter_runs(sums)
-    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]  # of each run: weight, times width
+    # Of each run: the sums of its weights, and of its weights times widths.
+    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
     means = np.array([first / w for w, first in parts])
     shares = np.array([w for w, _ in parts])
     keep = np.concatenate([[True], np.diff(means) > 1e-9])
@@ -138,12 +144,13 @@ def fewer(width: Array, weight: Array) -> Elements:
 
 
 def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
-    """Where each run ends, from 0 on, of at most _PLAYS runs with the least weighted variance within, by dynamic
-    programming. sums (3, n + 1): cumulative sums of the weights times 1, width and width^2."""
+    """The ends of the runs, from 0 on, into which n sorted widths are divided: at most _PLAYS runs with the least
+    weighted sum of squares about their means, found by dynamic programming; the first has a weight of at least _FIRST.
+    sums (3, n + 1): cumulative sums of weight, weight times width, and weight times width^2."""
     n = sums.shape[1] - 1
 
     def scatter(i: int, j: int) -> float:
-        """Weighted sum of squares of the widths from i to before j about their mean."""
+        """Weighted sum of squares about their mean of the widths from i to before j."""
         w, first, second = sums[:, j] - sums[:, i]
         return float(second - first * first / w)
 
@@ -156,7 +163,7 @@ def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
                 for begin in range(runs - 1, end)
                 if (known := best.get((runs - 1, begin))) is not None
                 for cost, ends in (known,)
-                if runs > 1 or sums[0, end] >= _FIRST
+                if runs > 1 or sums[0, end] >= _FIRST  # the weight of the first run
             ]
             if tried:
                 best[runs, end] = min(tried)

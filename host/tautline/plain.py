@@ -11,7 +11,8 @@ import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON has it: arrays, paths and numpy scalars converted, NaN and infinities as null."""
+    """Converts a value to what JSON has, also within collections: arrays, tuples and numpy scalars become lists and
+    numbers, paths and keys text, NaN and infinities None. Any other value is returned as it is."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -29,8 +29,9 @@ _TRIES = 2  # of a task alone, before it counts as what kills its worker: one ma
 
 @contextmanager
 def pool(jobs: int | None, dask: str | None, died: Died | None = None) -> Iterator[Pool]:
-    """Where tasks are run. jobs: processes on this machine, all cores by default; 1 means this process. dask: a
-    scheduler's address. died: result of a task that kills its workers; None ends the work with a TautError."""
+    """Yields a function that runs tasks: in this process, in processes of this machine or on a cluster. jobs: processes
+    on this machine, by default one a core; 1 means this process. dask: the address of a scheduler, used if given. died:
+    gives the result of a task that kills its workers; without it such a task ends the work with a TautError."""
     died = died or _ended
     if dask is not None:
         with _dask(dask, died) as made:
@@ -43,13 +44,15 @@ def pool(jobs: int | None, dask: str | None, died: Died | None = None) -> Iterat
 
 
 def _ended(name: str) -> Any:
-    """The `died` of a caller that gave none: a task that killed its worker ends all. name: the task's."""
+    """The `died` of a caller that gives none: raises the TautError that ends the work. name: of the task that killed
+    its workers."""
     raise TautError(f"{name}: every worker that had it died: look for too little memory, or use fewer --jobs")
 
 
 @contextmanager
 def _processes(jobs: int, died: Died) -> Iterator[Pool]:
-    """A pool of `jobs` processes on this machine, ended with the block. died: as of `pool`."""
+    """Yields a pool of `jobs` processes on this machine, which end with the block. Meanwhile SIGTERM interrupts as
+    Ctrl-C does. Sets the environment so that a worker's libraries use one thread each. died: as of `pool`."""
     # Each library reads its own variable when a worker starts: one core a case, and no two cases on one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -63,21 +66,22 @@ def _processes(jobs: int, died: Died) -> Iterator[Pool]:
 
 
 class _Processes:
-    """Processes on this machine. Where one dies the others are gone too: new ones do again what they all had, each task
-    alone, so that one which kills its worker is known."""
+    """Processes on this machine. Where one dies its pool is lost with all others: a new pool does again what they had,
+    one task at a time, so that a task which kills its worker is known."""
 
     def __init__(self, jobs: int, died: Died) -> None:
-        """jobs: how many; died: gives the result of a task whose worker died though it was alone."""
+        """Starts `jobs` processes. died: gives the result of a task whose worker died although it ran alone."""
         self.jobs, self.died = jobs, died
         self.executor = self._begun()
 
     def _begun(self) -> ProcessPoolExecutor:
-        """New processes. Each begins anew (spawn), as a fork would copy threads of libraries at work."""
+        """A new pool of processes. Each is started afresh (spawn), as a fork would copy threads of libraries in the
+        middle of their work."""
         return ProcessPoolExecutor(self.jobs, multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
 
     def run(self, function: Callable[..., Any], work: Work) -> Done:
-        """Runs (name, arguments) of `work`, yielding (name, result) as they come. A few more tasks are submitted than
-        there are processes."""
+        """Runs the tasks (name, arguments) of `work` and yields (name, result) as they are done, in any order. At most
+        _AHEAD tasks per process are submitted at a time, so that arguments are made as they are needed."""
         waiting: dict[Future[Any], Task] = {}
         lost: list[Task] = []
         for task in work:
@@ -90,16 +94,17 @@ class _Processes:
     def _submit(
         self, function: Callable[..., Any], task: Task, waiting: dict[Future[Any], Task], lost: list[Task]
     ) -> None:
-        """Submits a task, which then stands in `waiting` by its future; into `lost` it goes if the pool is already
-        broken, as a worker has died."""
+        """Submits a task and puts it into `waiting` by its future, or into `lost` if the pool is broken already,
+        because a worker has died."""
         try:
             waiting[self.executor.submit(function, *task[1])] = task
         except BrokenProcessPool:
             lost.append(task)
 
     def _collected(self, function: Callable[..., Any], waiting: dict[Future[Any], Task], lost: list[Task]) -> Done:
-        """Yields (name, result) of the tasks in `waiting` that are done, and takes them out; those whose worker died go
-        into `lost`. Where there is one, waits for all the others, and then runs the lost ones again one by one."""
+        """Waits for tasks in `waiting`, yields (name, result) of those that are done and takes them out; those whose
+        worker died are moved into `lost`. Once any is lost it waits for all the others, begins a new pool and runs the
+        lost tasks again, one by one."""
         for future in wait(waiting, return_when=FIRST_COMPLETED).done if not lost else list(waiting):
             task = waiting.pop(future)
             try:
@@ -116,7 +121,8 @@ class _Processes:
                 yield task[0], self._alone(function, task)
 
     def _alone(self, function: Callable[..., Any], task: Task) -> Any:
-        """Runs a task with nothing beside it, in new processes if they die; after _TRIES it is what kills them."""
+        """Runs one task while no other runs, and returns its result. Where its worker dies it is run again in a new
+        pool; after _TRIES deaths the result is what `died` gives."""
         for _ in range(_TRIES):
             try:
                 return self.executor.submit(function, *task[1]).result()
@@ -128,7 +134,8 @@ class _Processes:
 
 @contextmanager
 def _dask(address: str, died: Died) -> Iterator[Pool]:
-    """A pool on a Dask cluster. TautError where its scheduler does not answer or has no workers."""
+    """Yields a pool on a Dask cluster, `address` being its scheduler's. TautError where Dask is not installed, or the
+    scheduler does not answer or has no workers. died: as of `pool`."""
     try:
         distributed: Any = importlib.import_module("dask.distributed")
     except ImportError as error:
@@ -143,11 +150,12 @@ def _dask(address: str, died: Died) -> Iterator[Pool]:
             raise TautError(f"the Dask scheduler at {address} has no workers: start one with 'dask worker {address}'")
 
         def run(function: Callable[..., Any], work: Work) -> Done:
-            """As `_Processes.run`, on the cluster."""
+            """As `_Processes.run`, on the cluster; its scheduler itself tries a task on several workers."""
             waiting: dict[Any, str] = {}
 
             def collected() -> Done:
-                """Results that are there, one at least."""
+                """Waits for one task at least, yields (name, result) of those that are done and takes them out of
+                `waiting`."""
                 for future in distributed.wait(list(waiting), return_when="FIRST_COMPLETED").done:
                     name = waiting.pop(future)
                     try:
@@ -167,10 +175,11 @@ def _dask(address: str, died: Died) -> Iterator[Pool]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Handler of SIGTERM: `timeout` stops a campaign as Ctrl-C does, and leaves no worker behind."""
+    """Handles SIGTERM by a KeyboardInterrupt: `timeout` then stops a campaign as Ctrl-C does, and leaves no worker
+    behind."""
     raise KeyboardInterrupt
 
 
 def _ignore_interrupt() -> None:
-    """What each worker begins with: Ctrl-C is the campaign's to handle."""
+    """Has a new worker ignore Ctrl-C, which the campaign's own process handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -44,7 +44,7 @@ class Times:
 
     @property
     def scene_s(self) -> Array:
-        """(n,) When what arrives at t_s happened, s."""
+        """(n,) The scene times, s: when what arrives at t_s happened."""
         return self.t_s - self.delay_s
 
 
@@ -59,8 +59,9 @@ class Prediction(Value):
 
 
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
-    """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c =
-    f_remain(q[0]), or at start_deg; q is held before the first and after the last motor sample."""
+    """Predicts angle and, with a camera, marker at scene times scene_s (n,), s, on the motor's clock, in any order;
+    without sigmas. The tip starts on the centre line, c = f_remain(q[0]), or at start_deg; q is held before the first
+    and after the last motor sample."""
     scene = _scene_times(scene_s)
     seen = Chain(model).at(path_of(model, motor), scene, start_deg)
     return Prediction(seen.c_deg, seen.image_px)
@@ -69,17 +70,18 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 def predict_with_sigma(
     model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None
 ) -> Prediction:
-    """`predict` at scene times (n,), s, with one standard deviation of what the sensor would show: the uncertainty of
-    B, f_remain, the delay, the motor's path and, unless start_deg is given, of the start within the backlash,
-    propagated by differences through the chain; of a corrected simulator that of all its unknowns together, and more
-    where the motion is unlike those that it was fitted to; and the noise."""
+    """As `predict`, with one standard deviation of what the sensor would show. It combines the sensor's noise with the
+    uncertainty of B, f_remain, the delay, the motor's path and, unless start_deg is given, the start within the
+    backlash, propagated by differences through the chain. For a corrected simulator it adds the uncertainty of all of
+    its unknowns together, and more where the motion is unlike those that it was fitted to."""
     scene = _scene_times(scene_s)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     model_sigma = _model_sigma(model, path, scene, start_deg)
-    if (apart := _deviations(model, motor, scene, start_deg)) is not None:
+    if (apart := _deviations_sigma(model, motor, scene, start_deg)) is not None:
         model_sigma = np.hypot(model_sigma, apart)
-    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))  # px, or deg of an angle
+    # In the sensor's unit: px, or deg of an angle.
+    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy_sigma(model, path, motor, scene))
     if told.image_px is None:
         return Prediction(told.c_deg, image_px=None, c_sigma_deg=np.hypot(model_sigma[:, 0], noise))
     steepness = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
@@ -94,13 +96,13 @@ def predict_with_sigma(
 
 
 def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float | None) -> Array:
-    """(n, 1 or 3) One standard deviation, deg and px, of the predicted rows at scene times (n,), s, by the uncertainty
-    of B, f_remain, the delay, the motor's path and, without start_deg, the start, by differences through the chain. Not
-    in it is what no image shows of f_remain (`_unseen_deg`)."""
+    """(n, 1 or 3) One standard deviation of the predicted rows, deg and px, at scene times (n,), s, by the uncertainty
+    of B, f_remain, the delay, the motor's path and, without start_deg, the start, by differences through the chain. The
+    part of f_remain's that shows in no image (`_unseen_deg`) is left out."""
     inputs = _input_uncertainty(model, path, start_deg)
     delay_sigma_s = float(inputs.sigma[2])
     unseen_deg = _unseen_deg(model, model.c_deg)
-    with_delay = width_by_delay(model, delay_sigma_s)  # of B's sigma the part that goes with the delay's
+    with_delay = width_by_delay(model, delay_sigma_s)  # the part of B's sigma that is due to the delay's error
     by_delay = with_delay / delay_sigma_s if delay_sigma_s > 0.0 else with_delay
     without_delay = np.sqrt(np.maximum(model.width_sigma**2 - with_delay**2, 0.0))
     # Where all unknowns of a corrected simulator are off together, the law is among them.
@@ -108,8 +110,8 @@ def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float |
     fitted_deg = None if c_sigma is None else np.sqrt(np.maximum(c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
-        """The prediction (n, 1 or 3) with these deviations (5,), as of `_input_uncertainty`: of B and f_remain in
-        sigmas, delay, start and motor."""
+        """The prediction (n, 1 or 3) with the five deviations `off`, those of `_input_uncertainty`: B and f_remain in
+        their sigmas; the delay, s; the start, in half widths; the motor, unit of q."""
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
@@ -123,12 +125,13 @@ def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float |
         return Chain(moved).at(replace(path, lines=lines), scene - delay_s, begins).rows
 
     slopes = by_differences(rows, inputs.mean, inputs.sigma)
-    slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)  # the motor's is its own at each time
+    # The motor's sigma, in `inputs` one number, differs from time to time.
+    slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
     return inputs.spread(slopes)
 
 
 def _scene_times(scene_s: npt.ArrayLike) -> Array:
-    """Scene times (n,), s. TautError where they are of another shape or no finite numbers."""
+    """The scene times as an array (n,), s. TautError where they have another shape or one is no finite number."""
     scene = np.asarray(scene_s, dtype=float)
     if scene.ndim != 1 or not np.isfinite(scene).all():
         raise TautError(f"scene_s, of shape {scene.shape}, is no row of finite times, s")
@@ -136,17 +139,19 @@ def _scene_times(scene_s: npt.ArrayLike) -> Array:
 
 
 def _noise_at(model: Model, c_deg: Array) -> Array:
-    """(n,) One standard deviation of the sensor's noise, its unit, where the tip is at angles (n,)."""
+    """(n,) One standard deviation of the calibrated sensor's noise, px or deg, where the tip is at angles c_deg (n,):
+    that of `noise_of`, times `noise_times` at its place if the model has these."""
     usual, times = model.noise_of(model.sensor), model.uncertainty.noise_times
     if times is None:
         return np.full(len(c_deg), usual)
     return np.asarray(usual * np.interp(model.remaining_inverse(c_deg), model.q, times))
 
 
-def _deviations(model: Model, motor: Motor, scene_s: Array, start_deg: float | None) -> Array | None:
-    """(n, 1 or 3) One standard deviation of the prediction by what all of a corrected simulator's unknowns are off
-    together: half of what lies between the two models of each pair, root of the sum of squares over the pairs. None
-    where the model tells of none."""
+def _deviations_sigma(model: Model, motor: Motor, scene_s: Array, start_deg: float | None) -> Array | None:
+    """(n, 1 or 3) One standard deviation of the prediction at scene times (n,), s, by all of a corrected simulator's
+    unknowns together. Each pair of `uncertainty.deviations` holds two models, one sigma either way in an independent
+    direction: half the difference of their predictions, summed as squares over the pairs. None where the model has no
+    pairs."""
     pairs = model.uncertainty.deviations
     if not pairs:
         return None
@@ -159,9 +164,9 @@ def _deviations(model: Model, motor: Motor, scene_s: Array, start_deg: float | N
     return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0)))
 
 
-def _discrepancy(model: Model, path: MotorPath, motor: Motor, scene_s: Array) -> Array:
-    """(n,) One standard deviation, in the sensor's unit, of what a corrected simulator may miss beside its noise where
-    the motion is unlike those that it was fitted to; 0 of any other model."""
+def _discrepancy_sigma(model: Model, path: MotorPath, motor: Motor, scene_s: Array) -> Array:
+    """(n,) One standard deviation, in the sensor's unit, of a corrected simulator's further error, beside its noise,
+    where the motion is unlike those that it was fitted to; 0 for any other model."""
     discrepancy = model.uncertainty.discrepancy
     if discrepancy is None:
         return np.zeros(len(scene_s))
@@ -169,9 +174,9 @@ def _discrepancy(model: Model, path: MotorPath, motor: Motor, scene_s: Array) ->
 
 
 def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
-    """(grid,) unit of q: by how much the fitted B changes where the delay is later by delay_sigma_s, one sigma of its
-    own: where the motor's speeds are few, their errors correlate. It is a part of `width_sigma` and cut to it; 0 where
-    the model does not tell it."""
+    """(grid,) By how much, unit of q, the fitted B grows at each node where the delay grows by delay_sigma_s, s, its
+    standard deviation: if the motor had few speeds, the errors of B and the delay correlate. Clipped to +-width_sigma,
+    of which it is a part; 0 where the model does not know it, or delay_sigma_s is 0 or infinite."""
     by_delay = model.uncertainty.width_by_delay
     if by_delay is None or not 0.0 < delay_sigma_s < np.inf:
         return np.zeros_like(model.width)
@@ -179,32 +184,34 @@ def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
 
 
 def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
-    """(n,) deg The part of f_remain's sigma that shifts the angle and leaves the image as it is: where the place of a
-    bare instrument lies, and a tracker's constant error."""
+    """(n,) The part of f_remain's sigma, deg, at angles c_deg (n,), that shifts the angle and leaves the image as it
+    is: by what is not known of the place that is followed on a bare instrument, and by a tracker's constant error.
+    others: translation, mm, and rotation, deg."""
     of_tracker = tracked_deg(model.uncertainty.tracked_px, model.rig, c_deg, *others)
     place = model.rig.place
     return of_tracker if place is None else np.hypot(place.sigma_at(c_deg), of_tracker)
 
 
 def _input_uncertainty(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:
-    """Independent deviations: B and f_remain in their own sigmas (a row sees one place of the curve); the delay, s; the
-    start within the backlash, in half widths, uniform; the motor, unit of q."""
+    """The independent deviations that a prediction depends on, with mean 0: B and f_remain in their own sigmas (a row
+    depends on one place of the curve); the delay, s; the start within the backlash, in half widths, uniform and none
+    with start_deg; the motor, unit of q."""
     delay_s = model.uncertainty.delay_sigma_s or 0.0
     sigma = [1.0, 1.0, delay_s, 0.0 if start_deg is not None else _ANYWHERE, path.sigma]
     return Posterior(("width", "remaining", "delay", "start", "motor"), np.zeros(5), np.diag(np.square(sigma)))
 
 
 def settled_from(model: Model, motor: Motor) -> float:
-    """The scene time, s, from which the start inside the backlash no longer matters: both envelopes were reached, with
-    a tenth of B and two counts to spare. Infinite where they never were."""
+    """The scene time, s, from which the start inside the backlash no longer matters: the motor has been driven both
+    ways by 1.1 times the widest B and two counts. Infinite where it never was."""
     widest = _TO_SPARE * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
     motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
     return driven_both_ways_from(motor.t_s, motor.q, widest)
 
 
 def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
-    """The time, s, from which a motor at q (n,) at times t_s (n,) has moved by more than `width`, unit of q, in both
-    directions; infinite where it never has."""
+    """The time, s, from which a motor at q (n,) at times t_s (n,) has moved both up from its lowest place so far and
+    down from its highest by more than `width`, unit of q; infinite where it never has."""
     up = np.flatnonzero(q - np.minimum.accumulate(q) > width)
     down = np.flatnonzero(np.maximum.accumulate(q) - q > width)
     if len(up) == 0 or len(down) == 0:
@@ -213,7 +220,7 @@ def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
 
 
 def residuals(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> Array:
-    """Seen less predicted at scene times (n,), s. seen: (n, 2) px, or (n,) or (n, 1) deg; the result has the same
+    """Seen less predicted at scene times (n,), s. seen: (n, 2) px, or (n,) or (n, 1) deg; the result has seen's
     shape."""
     told = predict(model, motor, scene_s)
     if seen.ndim == 2 and seen.shape[1] == 2:
@@ -223,28 +230,32 @@ def residuals(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -
 
 
 def foretold(model: Model, recording: Recording, settled_by: Model | None = None) -> float:
-    """Rms of the model's error on a recording, px a coordinate, or deg without a marker, once both directions were
-    driven through the backlash (of `settled_by`, if given). TautError where they never were."""
+    """Rms of the model's error on a recording, px a coordinate, or deg without a marker, counted from when the motor
+    was driven through the backlash both ways. settled_by: if given, the model whose backlash and delay say from when.
+    TautError where it never was, or nothing was seen after that."""
     scored_by, motor = settled_by or model, recording.motor  # whose backlash and delay say which frames count
     begin_s = settled_from(scored_by, motor)
     if not np.isfinite(begin_s):
         raise TautError(
             f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
         )
-    sensor, arrival_s, valid, seen = _observed(model, recording)
-    counted = valid & _counted(arrival_s - scored_by.delay_of(sensor), begin_s, motor)
+    sensor, arrival_s, valid, seen = _sensor_readings(model, recording)
+    counted = valid & _frames_to_score(arrival_s - scored_by.delay_of(sensor), begin_s, motor)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
     return rms([residuals(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
 
 
-def _counted(scene_s: Array, begin_s: float, motor: Motor) -> npt.NDArray[np.bool_]:
-    """Which scene times (n,) are from begin_s on and within the motor's log: nobody knows where it went after it."""
+def _frames_to_score(scene_s: Array, begin_s: float, motor: Motor) -> npt.NDArray[np.bool_]:
+    """(n,) Which scene times (n,), s, are from begin_s on and not after the motor's log, beyond which its motion is not
+    known."""
     return np.asarray((scene_s >= begin_s) & (scene_s <= motor.t_s[-1]))
 
 
-def _observed(model: Model, recording: Recording) -> tuple[Sensor, Array, npt.NDArray[np.bool_], Array]:
-    """The sensor, its arrival times (n,), which of them show the tip, and its values: (n, 2) px or (n,) deg."""
+def _sensor_readings(model: Model, recording: Recording) -> tuple[Sensor, Array, npt.NDArray[np.bool_], Array]:
+    """What a recording's sensor saw: the marker if there is one and the rig has a camera for it, else the angle.
+    Returns the sensor, its arrival times (n,), s, which of them show the tip (n,), and the values: (n, 2) px or (n,)
+    deg. TautError where the recording has neither."""
     marker, angle = recording.marker, recording.angle
     if marker is not None and model.rig.has_camera:
         return MARKER, marker.t_s, marker.valid, np.column_stack([marker.u_px, marker.v_px])
@@ -265,11 +276,11 @@ class Score:
 
 
 def score(model: Model, recording: Recording, start_deg: float | None = None) -> Score:
-    """How well the model predicts a recording. TautError where the tip was not seen, or not after both directions were
-    driven."""
-    sensor, arrival_s, valid, seen = _observed(model, recording)
+    """Scores the model's predictions, with their sigmas, on a recording, from when both directions were driven through
+    the backlash; start_deg: as of `predict`. TautError where the tip was not seen, or not after that."""
+    sensor, arrival_s, valid, seen = _sensor_readings(model, recording)
     scene = arrival_s - model.delay_of(sensor)
-    counted = valid & _counted(scene, settled_from(model, recording.motor), recording.motor)
+    counted = valid & _frames_to_score(scene, settled_from(model, recording.motor), recording.motor)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways: there is no score")
     told = predict_with_sigma(model, recording.motor, scene[counted], start_deg)
@@ -279,7 +290,7 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
     off = seen[counted] - predicted
     with np.errstate(invalid="ignore"):
         z = off / sigma
-    known = z[np.isfinite(z)]
+    known = z[np.isfinite(z)]  # errors over sigma, where sigma is known
     return Score(
         rows=int(counted.sum()),
         unit="px" if by_image else "deg",
@@ -290,8 +301,8 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
 
 
 def rms(off: Sequence[Array]) -> float:
-    """Root mean square of all elements of these arrays, seen less predicted; infinite where one is NaN, as where a
-    predicted place cannot be in the image."""
+    """Root mean square of all elements of these arrays, seen less predicted; infinite where one is NaN, as for a
+    predicted place that cannot be in the image."""
     value = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
     return value if np.isfinite(value) else float("inf")
 
@@ -299,9 +310,10 @@ def rms(off: Sequence[Array]) -> float:
 def times_of(
     model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
 ) -> Times:
-    """The times at which to predict: `file`'s column t_s; else those of marker.csv, else angle.csv, else a video's
-    frames.csv, else one per frame period from motor t[0] + delay on (per motor sample without a camera). A camera on
-    the tip counts as the angle sensor. warnings: gets a line where the file's last line was cut."""
+    """The times at which to predict: column t_s of `file` if given; else those of marker.csv, else angle.csv, else a
+    video's frames.csv, else one for each frame period, from the motor's first time plus the delay on (without a camera
+    one for each motor sample). A camera on the tip counts as the angle sensor. warnings: if given, gets a line where
+    the file's last line was cut. TautError for more than MOST_ROWS frames."""
     rig = model.rig
     for path, delay_s in (
         (file, model.delay_s),
@@ -323,8 +335,8 @@ def times_of(
 
 
 def rms_to_truth(model: Model, folder: Path, motor: Motor, times: Times, prediction: Prediction) -> float | None:
-    """Rms of the predicted angle less truth.csv's (t_s, c_deg at scene times), deg, once both directions were driven
-    through the backlash; None where there is no such truth."""
+    """Rms of the predicted angle less that of the folder's truth.csv (t_s, c_deg at scene times), deg, counted once
+    both directions were driven through the backlash; None without that file, or where no time counts."""
     if not (folder / TRUTH_FILE).exists():
         return None
     truth = read_columns(folder / TRUTH_FILE, ["t_s", "c_deg"], "t_s,c_deg")
@@ -337,8 +349,8 @@ def rms_to_truth(model: Model, folder: Path, motor: Motor, times: Times, predict
 
 
 def write_csv(path: Path, times: Times, prediction: Prediction) -> None:
-    """Writes COLUMNS; t_s as it was read. u_px, v_px and their sigmas are empty where the marker cannot be seen, a
-    sigma where the model does not know it."""
+    """Writes a CSV with COLUMNS, t_s as it was read. u_px, v_px and their sigmas are empty where the marker cannot be
+    seen or there is no camera, and a sigma where the model does not know it."""
     nothing = np.full(len(times.cells), np.nan)
     absent = np.column_stack([nothing, nothing])
     image = absent if prediction.image_px is None else prediction.image_px
@@ -353,5 +365,5 @@ def write_csv(path: Path, times: Times, prediction: Prediction) -> None:
 
 
 def _text(value: float) -> str:
-    """A cell of `write_csv`, px; empty where the marker cannot be seen."""
+    """A position, px, as a cell of `write_csv`; empty for NaN, where the marker cannot be seen."""
     return f"{value:.4f}" if np.isfinite(value) else ""

@@ -9,9 +9,9 @@ from typing import Any, Self
 
 
 class Verdict(StrEnum):
-    """good: the stated sigmas cover, and predictions are within 1.3 times the noise. doubtful: something is there that
-    the model does not hold. unusable: it predicts worse than f_coarse or a constant, or clocks, sizes or units
-    contradict each other."""
+    """good: the stated sigmas cover the errors, and predictions are within 1.3 times the noise. doubtful: the
+    instrument does something that the model does not hold. unusable: the model predicts worse than f_coarse or a
+    constant, or clocks, sizes or units contradict each other."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -29,7 +29,7 @@ class Reason:
     mild: bool = False  # worth knowing; sigma and predictions hold all the same
 
     def __str__(self) -> str:
-        """What is wrong, and what to do, in a sentence."""
+        """What is wrong, and what to do, in one sentence."""
         return f"{self.says}: {self.remedy}"
 
 
@@ -41,7 +41,7 @@ class Quality:
 
     @property
     def verdict(self) -> Verdict:
-        """unusable with a fatal reason, good without one that counts, else doubtful."""
+        """UNUSABLE with a fatal reason; else GOOD if all reasons are mild or there are none, DOUBTFUL otherwise."""
         if any(reason.fatal for reason in self.reasons):
             return Verdict.UNUSABLE
         return Verdict.GOOD if all(reason.mild for reason in self.reasons) else Verdict.DOUBTFUL
@@ -53,7 +53,8 @@ class Quality:
 
     @classmethod
     def of(cls, reasons: Sequence[Reason]) -> Self:
-        """The quality by these reasons, each once: fatal ones first, mild ones last, otherwise in the order given."""
+        """The quality by these reasons, repeated ones once: fatal ones first, mild ones last, otherwise in the order
+        given."""
         return cls(tuple(sorted(dict.fromkeys(reasons), key=lambda reason: reason.mild - reason.fatal)))
 
     def to_json(self) -> dict[str, Any]:
@@ -62,7 +63,8 @@ class Quality:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """From what `to_json` gave. KeyError or TypeError where it is something else."""
+        """Reads what `to_json` gave; the verdict is made anew of the reasons. KeyError or TypeError where it is
+        something else."""
         return cls(
             tuple(
                 Reason(

@@ -45,8 +45,8 @@ FILES = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Motor(Value):
-    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly. What follows from one can be
-    kept by it (encoder.py): it has a hash."""
+    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly. A motor has a
+    hash, so that what is computed from it can be kept with it as the key (encoder.py)."""
 
     t_s: Array
     q: Array  # bending motor, the rig's unit
@@ -57,12 +57,14 @@ class Motor(Value):
     extra: Mapping[str, Array] = field(default_factory=dict)  # unknown columns, kept
 
     def __hash__(self) -> int:  # type: ignore[override]
-        """By number of samples and the last one: equal motors have the same, and it costs next to nothing."""
+        """A hash of the number of samples and the last sample alone: equal motors have the same one, and it takes next
+        to no time."""
         return hash((len(self.t_s), *self.t_s[-1:], *self.q[-1:]))
 
     @property
     def joints(self) -> dict[str, Array]:
-        """Further joints that move, NAME_deg or NAME_mm, (n,) each, numbers in all rows. At most MOST_JOINTS."""
+        """Further joints that move, by column name, NAME_deg or NAME_mm, (n,) each: columns of `extra` with a number in
+        each row, not all the same; the first MOST_JOINTS of them."""
         numbers = {
             name: values
             for name, values in self.extra.items()
@@ -74,12 +76,12 @@ class Motor(Value):
         return dict(list(moving.items())[:MOST_JOINTS])
 
     def resampled(self, t_s: Array, q: Array, joints: Mapping[str, Array]) -> Motor:
-        """The motor at other times t_s (n,), where it is at q (n,): the instrument's other axes, the load and those of
-        its further columns that `joints` names, each as long as the motor is, straight between samples. Without
-        q_cmd."""
+        """The motor at other times t_s (n,), s, where it is at q (n,). Its other axes, its load and the columns
+        `joints`, each with a value per own sample, are interpolated linearly. Without q_cmd and other further
+        columns."""
 
         def at(values: Array | None) -> Array | None:
-            """A column (n,) at t_s; None where there is none."""
+            """A column of the motor's samples, interpolated at t_s; None where there is none."""
             return None if values is None else np.interp(t_s, self.t_s, values)
 
         return Motor(
@@ -94,7 +96,7 @@ class Motor(Value):
 
 @dataclass(frozen=True)
 class Shown:
-    """A square that was shown in a picture: a place on an instrument without a marker."""
+    """A square that somebody pointed out in a picture: the place that is followed on an instrument without a marker."""
 
     at_px: tuple[float, float]
     side_px: float
@@ -126,7 +128,7 @@ class Angle(Value):
 
     @property
     def seen(self) -> Array:
-        """(n,) bool: the rows that hold an angle."""
+        """(n,) bool: which rows hold a valid angle."""
         finite: Array = np.isfinite(self.c_deg)
         return finite if self.valid is None else finite & self.valid
 
@@ -141,7 +143,7 @@ class Video(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Value):
-    """marker, angle or video is there; several may be."""
+    """What was recorded of one motion. At least one of marker, angle and video is there."""
 
     name: str
     motor: Motor
@@ -154,7 +156,9 @@ class Recording(Value):
 
 
 def load(path: str | Path, rig: Rig | None = None) -> Recording:
-    """Reads a recording's folder. rig: wins over a rig.toml in the folder. TautError with file, line and column."""
+    """Reads a recording's folder. rig: used in place of a rig.toml in the folder; the result's `rig` is the folder's
+    own all the same, None without one. TautError, with file, line and column, where a file cannot be read, no rig is
+    known, nothing shows the tip, or times do not overlap the motor's."""
     folder = _folder(path)
     _check_links(folder)
     warnings: list[str] = []
@@ -190,13 +194,14 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
-    """Recordings in the order given, each on its own clock (core.session puts them on one), their names made unique."""
+    """Reads recordings, in the order given, each on its own clock (core.session puts them on one), and makes their
+    names unique."""
     return told_apart([load(path, rig) for path in paths])
 
 
 def told_apart(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings with a number behind every name that one before has: onsets, offsets and reports tell them apart
-    by their names."""
+    """The recordings with unique names, as onsets, offsets and reports identify them by name: a number is put behind a
+    name that an earlier one has, as in "NAME (2)"."""
     told: list[Recording] = []
     for recording in recordings:
         taken = {other.name for other in told}
@@ -209,10 +214,11 @@ def told_apart(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:
-    """Recordings with these offsets, s, by name, taken from the times of marker and angle."""
+    """The recordings with their offsets, s, by name in offsets_s (0 if not named), subtracted from the times of marker
+    and angle."""
 
     def moved(recording: Recording) -> Recording:
-        """The recording with its own offset taken off."""
+        """The recording with its own offset taken off the times of marker and angle."""
         offset_s = offsets_s.get(recording.name, 0.0)
         marker, angle = recording.marker, recording.angle
         if not offset_s:
@@ -227,13 +233,15 @@ def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> 
 
 
 def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
-    """motor.csv of a recording's folder, in the rig's unit. All that a prediction needs."""
+    """Reads motor.csv of a recording's folder, q in the rig's unit: all that a prediction needs. warnings, TautError:
+    as in `read_motor`."""
     return read_motor(_folder(path) / "motor.csv", rig, warnings)
 
 
 def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
-    """Reads a file with the columns of motor.csv, q in the rig's unit. warnings: gets what was mended. TautError, with
-    file and line, where it is none, is in another unit, or the motor is absurdly far beyond the rig's range."""
+    """Reads a file with the columns of motor.csv, q in the rig's unit. An empty column counts as absent. warnings: if
+    given, gets what was mended. TautError, with file and line, where it is no such file, is in another unit, or the
+    motor is absurdly far beyond the rig's range."""
     warnings = [] if warnings is None else warnings
     unit = rig.actuator.unit
     q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
@@ -267,14 +275,15 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
 
 
 def check_motor(motor: Motor, name: str = "motor") -> None:
-    """TautError for a motor that was not read from a file and that no file could hold."""
+    """Raises TautError for a motor made of arrays that no file could hold: columns of different lengths, values that
+    are not finite, times that do not rise or are those of no motor. name: what the message calls it."""
     columns = {each: getattr(motor, each) for each in ("t_s", "q", *_OTHERS) if getattr(motor, each) is not None}
     _check_columns({**columns, **motor.extra}, name, tuple(columns))
     _check_motor_times(motor.t_s, name, _row)
 
 
 def check(recording: Recording) -> None:
-    """TautError for a recording that was not read from files and that no files could hold."""
+    """Raises TautError for a recording made of arrays that no files could hold; motor, marker and angle are checked."""
     check_motor(recording.motor, f"{recording.name}: motor")
     if (marker := recording.marker) is not None:
         columns = {"t_s": marker.t_s, "u_px": marker.u_px, "v_px": marker.v_px, "valid": marker.valid}
@@ -286,7 +295,7 @@ def check(recording: Recording) -> None:
 
 
 def check_distinct(recordings: Sequence[Recording]) -> None:
-    """TautError where one of them is given twice, under whatever name: it would count as evidence of its own."""
+    """Raises TautError where two recordings hold the same, under whatever names: one would count as evidence twice."""
     for one, other in combinations(recordings, 2):
         alike = all(same(getattr(one, what), getattr(other, what)) for what in ("motor", "marker", "angle"))
         if alike and _same_video(one.video, other.video):
@@ -294,8 +303,9 @@ def check_distinct(recordings: Sequence[Recording]) -> None:
 
 
 def save(recording: Recording, folder: str | Path) -> None:
-    """Writes the folder, whole or not at all. A recording that was there is replaced, with all of FILES; other files in
-    it stay."""
+    """Writes the recording's folder, whole or not at all. It replaces a recording that was there, with all of FILES;
+    other files in the folder stay. TautError where it has no rig, its video is of another type than VIDEO_NAMES, or the
+    folder cannot be written."""
     if recording.rig is None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
     if (video := recording.video) is not None and f"video{video.path.suffix}" not in VIDEO_NAMES:
@@ -343,20 +353,20 @@ def save(recording: Recording, folder: str | Path) -> None:
 
 
 def _same_video(one: Video | None, other: Video | None) -> bool:
-    """Whether two videos are one, or copies of one, or both are missing."""
+    """Whether two videos are the same: the same frames' times and the same bytes, or none at all."""
     if one is None or other is None:
         return one is other
     return same(one.arrival_s, other.arrival_s) and cmp(one.path, other.path, shallow=False)
 
 
 def _row(row: int) -> str:
-    """The place of a row of arrays, from 0, for messages."""
+    """A row of arrays, from 0, as messages name it."""
     return f"row {row}"
 
 
 def _check_columns(columns: Mapping[str, Array], name: str, finite: Sequence[str] = ("t_s",)) -> None:
-    """TautError where columns, by name, have not one length, those named in `finite` hold what is no finite number, or
-    t_s does not rise. name: of what they are of, for the text."""
+    """Raises TautError unless all columns (n,), by name, have one length, those named in `finite` hold finite numbers
+    alone, and t_s rises. name: what the message calls the table."""
     lengths = {each: np.shape(values) for each, values in columns.items()}
     if len(set(lengths.values())) > 1 or any(len(shape) != 1 for shape in lengths.values()):
         told = ", ".join(f"{each} {'x'.join(map(str, shape))}" for each, shape in lengths.items())
@@ -373,7 +383,8 @@ def _check_columns(columns: Mapping[str, Array], name: str, finite: Sequence[str
 
 
 def _check_motor_times(t_s: Array, name: str, at: Callable[[int], str]) -> None:
-    """TautError where rising times (n,) are too few or too far apart for a motor's. at: words for a row's place."""
+    """Raises TautError where rising times t_s (n,), s, are fewer than two or too far apart for a motor's. name: what
+    the message calls it; at: gives the words for the place of a row, by its index."""
     if len(t_s) < 2:
         rows = "a single row" if len(t_s) else "no rows"
         raise TautError(f"{name}: has {rows}: expected encoder samples over some time")
@@ -388,7 +399,8 @@ def _check_motor_times(t_s: Array, name: str, at: Callable[[int], str]) -> None:
 
 
 def _folder(path: str | Path) -> Path:
-    """The folder of a recording. TautError where there is none."""
+    """The path of a recording's folder. TautError where there is no such folder, or it is a file or a model's
+    folder."""
     folder = Path(path)
     if not folder.exists():
         raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")
@@ -400,7 +412,7 @@ def _folder(path: str | Path) -> Path:
 
 
 def _check_links(folder: Path) -> None:
-    """TautError for a link to nothing: a file that somebody meant to be there."""
+    """Raises TautError where a link in the folder leads to nothing: somebody meant a file to be there."""
     for path in sorted(folder.iterdir()):
         if path.is_symlink() and not path.exists():
             raise TautError(
@@ -409,8 +421,8 @@ def _check_links(folder: Path) -> None:
 
 
 def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
-    """TautError where column `name` has the motor so far beyond the rig's range that nothing can come of it; a warning
-    where it is a whole range beyond, as its unit may be another."""
+    """Raises TautError where column `name` has the motor more than FARTHEST ranges beyond the rig's range. Adds a
+    warning to `columns` where it is more than one range beyond, as its unit may be another."""
     q = columns.finite(name)
     low, high = rig.actuator.range
     beyond = np.maximum(low - q, q - high)
@@ -427,7 +439,9 @@ def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
 
 
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
-    """The rig.toml of the folder; None where there is none, or where it is damaged and another rig was named."""
+    """Reads the folder's rig.toml; None where there is none. rig: another one that was named; with it a damaged
+    rig.toml gives None and a warning, without it a TautError. warnings: gets also which keys look misspelt, if this rig
+    is the one in use."""
     path = folder / RIG_FILE
     if not path.exists():
         return None
@@ -444,8 +458,8 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:
-    """Reads marker.csv. Rows that claim to be valid without a finite place in an image are taken as not valid, and a
-    sigma_px that is not above 0 throughout is left out. warnings: gets what was mended."""
+    """Reads marker.csv. A row that is marked as valid without a finite place in an image is taken as not valid, and a
+    column sigma_px that is not above 0 in each valid row is left out; `warnings` gets both."""
     columns = read_columns(file, layouts.MARKER.required(), layouts.MARKER.header())
     t_s = columns.rising_times()
     u_px, v_px = columns.raw("u_px"), columns.raw("v_px")
@@ -475,7 +489,8 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
 
 
 def _frame_size(columns: Columns) -> tuple[int, int] | None:
-    """(width, height) of the frames by columns width_px and height_px, the same in every row; None without them."""
+    """(width, height) of the frames, px, by columns width_px and height_px; None without them, and, with a warning,
+    where they are not the same in each row."""
     if not set(FRAME_COLUMNS) <= set(columns.names):
         return None
     sizes = [columns.raw(name) for name in FRAME_COLUMNS]
@@ -486,15 +501,15 @@ def _frame_size(columns: Columns) -> tuple[int, int] | None:
 
 
 def _sizes(marker: Marker) -> dict[str, Array]:
-    """The frames' size as columns of marker.csv, by name; none where it is not known."""
+    """The frames' size, if it is known, as columns width_px and height_px of marker.csv, (n,) each; else no columns."""
     if marker.frame_px is None:
         return {}
     return {name: np.full(len(marker.t_s), n) for name, n in zip(FRAME_COLUMNS, marker.frame_px, strict=True)}
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:
-    """Reads angle.csv; its rows without a finite angle are not valid. warnings: gets what was mended. TautError where
-    no row is valid."""
+    """Reads angle.csv. Rows without a finite angle are taken as not valid; `warnings` gets how many there are that were
+    not marked so. TautError where no row is valid."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header())
     t_s = columns.rising_times()
     c_deg = columns.raw("c_deg")
@@ -514,8 +529,9 @@ def _load_angle(file: Path, warnings: list[str]) -> Angle:
 
 
 def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | None:
-    """The folder's video with its frames' arrival times; None where there is none. tracked: a marker.csv has the
-    frames' times, so that a missing frames.csv is nothing to warn of."""
+    """The folder's video with its frames' arrival times, s, from frames.csv, NaN for frames not named there; None
+    without a video. tracked: whether a marker.csv has the frames' times; if not, `warnings` gets a line where
+    frames.csv is missing. TautError for frame numbers that do not rise from 0 or more."""
     path = next((folder / name for name in VIDEO_NAMES if (folder / name).exists()), None)
     if path is None:
         return None
@@ -538,7 +554,7 @@ def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | Non
 
 
 def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> None:
-    """TautError where a file's times t_s (m,), rising, do not overlap the motor's, motor_s (n,), both s."""
+    """Raises TautError where a file's rising times t_s (m,) do not overlap the motor's, motor_s (n,), both in s."""
     if t_s[0] <= motor_s[-1] and t_s[-1] >= motor_s[0]:
         return
     raise TautError(
@@ -548,12 +564,12 @@ def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> 
 
 
 def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
-    """The columns that are not `known`, by name, as they were read."""
+    """The columns whose names are not `known`, by name, as they were read."""
     return {name: columns.cells[name] for name in columns.names if name and name not in known}
 
 
 def _write(path: Path, columns: Mapping[str, Array | None]) -> None:
-    """Writes columns (n,) by name as a CSV file; those that are None are left out."""
+    """Writes columns (n,), by name, as a CSV file, _WRITTEN_ROWS rows at a time; columns that are None are left out."""
     present = {name: values for name, values in columns.items() if values is not None}
     rows = max((len(values) for values in present.values()), default=0)
     for first in range(0, max(rows, 1), _WRITTEN_ROWS):

@@ -42,7 +42,7 @@ class Actuator:
 
     @property
     def span(self) -> float:
-        """Length of the range, unit."""
+        """Length of the range, unit of q."""
         return self.range[1] - self.range[0]
 
 
@@ -109,14 +109,15 @@ class Place:
     sigma_deg: tuple[float, ...]  # (PLACES,) of an angle that is told by this place, alike along the curve
 
     def sigma_at(self, c_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """(n,) One standard deviation, deg, of the angles c_deg (n,) by not knowing where the place lies. No predicted
-        image has this error: it shifts the angle and leaves the image as it is."""
+        """(n,) One standard deviation, deg, of angles c_deg (n,), as it is not known exactly where the place lies. No
+        predicted image has this error: it shifts the angle and leaves the image as it is."""
         at = self.from_deg + self.step_deg * np.arange(PLACES)
         return np.asarray(np.interp(np.asarray(c_deg, dtype=float), at, self.sigma_deg))
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """From what dataclasses.asdict made of one. KeyError, TypeError or ValueError where it is something else."""
+        """Reads what dataclasses.asdict made of a Place. KeyError, TypeError or ValueError where it is something
+        else."""
         mm = tuple(tuple(float(x) for x in row) for row in document["mm"])
         sigma_deg = tuple(float(x) for x in document["sigma_deg"])
         if [len(row) for row in (*mm, sigma_deg)] != 4 * [PLACES]:
@@ -275,19 +276,19 @@ class Rig:
 
     @property
     def delay_s(self) -> float:
-        """The camera's nominal delay, s; 0 without a camera."""
+        """The camera's nominal delay, s, as rig.toml says; 0 without a camera."""
         return self.camera.delay_s if self.camera else 0.0
 
     def nominal_delay_s(self, sensor: Sensor) -> float:
-        """How old, s, a sensor's reading is when it arrives, as rig.toml says; 0 where it does not. A camera on the tip
-        is the angle sensor."""
+        """How old, s, a sensor's reading is when it arrives, as rig.toml says; 0 where it says nothing. For a camera on
+        the tip, which is the angle sensor, it is the camera's."""
         if sensor == MARKER or self.sees_from_tip:
             return self.delay_s
         return self.angle.delay_s if self.angle else 0.0
 
     @property
     def misspelt(self) -> list[str]:
-        """Sentences on unknown keys and sections that look like known ones."""
+        """A sentence on each unknown key or section that looks like a known one."""
         said = []
         for name, value in self.extra.items():
             section = SECTIONS.get(name)
@@ -306,18 +307,18 @@ class Rig:
 
     @property
     def sees_from_tip(self) -> bool:
-        """Whether the camera is an angle sensor: it sits on the tip, and the world turns as that bends."""
+        """Whether the camera is an angle sensor: it sits on the tip and sees the world turn as the tip bends."""
         return self.camera is not None and self.camera.mount == "tip"
 
     def with_camera(self, **changes: Any) -> Rig:
-        """The same rig with fields of its camera replaced. Raises TautError where it has none."""
+        """A copy of the rig with these fields of its camera replaced. TautError where it has no camera."""
         if self.camera is None:
             raise TautError("the rig has no [camera] section: add one to rig.toml")
         return replace(self, camera=replace(self.camera, **changes))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Reads a rig.toml. TautError with the key that is missing or wrong."""
+        """Reads a rig.toml. TautError, which names the key that is missing or wrong, where it is no such file."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8-sig")
@@ -338,7 +339,8 @@ class Rig:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> Self:
-        """A rig from what its TOML holds. `where` names the file in a TautError."""
+        """Makes a rig of what its TOML holds, checked; unknown keys are kept in `extra`. TautError for a missing or
+        wrong key. where: the file's name, for the error."""
         if document.get("format") != FORMAT:
             raise TautError(f'{where}: format is {document.get("format")!r}, expected "{FORMAT}" in the first line')
         read = {
@@ -363,7 +365,8 @@ class Rig:
         return cls(actuator, coarse, kinematics, camera, hand_eye, extra=_unknown(document), angle=angle)
 
     def to_document(self) -> dict[str, Any]:
-        """What rig.toml holds: the sections that are there, and unknown keys as they were read."""
+        """What rig.toml is to hold: the sections that the rig has, without fields that are None, and unknown keys as
+        they were read."""
         document: dict[str, Any] = {"format": FORMAT}
         for name in SECTIONS:
             section = getattr(self, name)
@@ -386,12 +389,14 @@ class Rig:
 
 
 def _wrong(where: str, name: str, says: str) -> TautError:
-    """The error to raise. where: the file; name: the key's; says: what it is, and what was expected."""
+    """The error to raise for a wrong key. where: the file; name: the key, section.key; says: what it is, and what was
+    expected."""
     return TautError(f"{where}: {name} is {says} (taut explain rig.{name})")
 
 
 def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The sections, and within known sections the keys, that no definition has, as the document has them."""
+    """The sections of the document that no definition has, and the unknown keys of known sections, as the document has
+    them."""
     extra: dict[str, Any] = {}
     for key, value in document.items():
         if key == "format":

@@ -13,7 +13,8 @@ from tautline.errors import TautError, nearest
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a section. Where it is not `needed` and not there, it is left to its dataclass' default."""
+    """One key of a section. If it is not `needed` and not there, the dataclass that is made of the section has its
+    default."""
 
     name: str
     says: str  # what it is, with its unit
@@ -30,7 +31,7 @@ class Key:
 
     @property
     def expected(self) -> str:
-        """What may stand there, in words."""
+        """In words, which values the key takes."""
         if self.choices:
             return " or ".join(f'"{choice}"' for choice in self.choices)
         if self.kind == "text":
@@ -43,7 +44,8 @@ class Key:
         return f"{self.at_least:g} or more" if self.at_least is not None else f"a finite {what.removeprefix('a ')}"
 
     def read(self, value: Any, name: str, where: str, file: str = "rig") -> Any:
-        """The value, checked, as its dataclass has it. name: section.key; where: the file's name; file: as in
+        """Checks a value of the file and returns it as the section's dataclass has it: str, int, float or a tuple of
+        floats. TautError for a value that the key does not take. name: section.key; where: the file's name; file: as in
         Section."""
         if self.kind == "text":
             good = isinstance(value, str) and (not self.choices or value in self.choices)
@@ -67,21 +69,24 @@ class Key:
         return int(value) if self.kind == "whole" else float(value)
 
     def refuse(self, value: Any, name: str, where: str, file: str) -> TautError:
-        """The error for a value that the key does not take; arguments as in `read`."""
+        """The error to raise for a value that the key does not take; arguments as in `read`."""
         shown = f"{value:g}" if _is_number(value) else repr(value)
         return _error(where, f"{name} is {shown}, expected {self.expected}", f"{file}.{name}")
 
 
 @dataclass(frozen=True)
 class Section:
+    """One section of a file, and its keys."""
+
     name: str
     says: str
     keys: tuple[Key, ...]
     file: str = "rig"  # of its topics: 'taut explain FILE.SECTION.KEY'
 
     def read(self, document: Mapping[str, Any], where: str) -> dict[str, Any]:
-        """The section's keys that are there, checked, by name. document: of the whole file, which `where` names in a
-        TautError: for a missing section or key, or a value that it does not take."""
+        """Checks the section of a file, `document`, and returns the keys that are there, by name. TautError for a
+        missing section, a missing key that is needed, or a value that its key does not take. where: the file's name,
+        for the error."""
         table = document.get(self.name)
         topic = f"{self.file}.{self.name}"
         if table is not None and not isinstance(table, Mapping):
@@ -103,7 +108,7 @@ class Section:
         return values
 
     def misspelt(self, table: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """Unknown keys of the table, each with the known key that it looks like."""
+        """The unknown keys of the section's `table` that look like a known one: pairs (unknown, known)."""
         known = [key.name for key in self.keys]
         found = ((name, nearest(name, known)) for name in table if name not in known)
         return [(name, meant) for name, meant in found if meant is not None]
@@ -111,7 +116,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Column:
-    """Of a CSV. `name` may hold {unit}: the rig's unit of q."""
+    """A column of a CSV. `name` may hold {unit}, which stands for the rig's unit of q."""
 
     name: str
     says: str
@@ -128,23 +133,23 @@ class Layout:
     columns: tuple[Column, ...]
 
     def required(self, unit: str = "") -> list[str]:
-        """Names of the columns that have to be there. unit: of q."""
+        """Names of the columns that have to be there. unit: of q, for the names that hold {unit}."""
         return [column.name.format(unit=unit) for column in self.columns if column.needed]
 
     def header(self, unit: str = "") -> str:
-        """The least header line, for errors."""
+        """The shortest header line that the file may have, for errors. unit: as in `required`."""
         return ",".join(self.required(unit))
 
     def names(self, unit: str = "") -> list[str]:
-        """Names of all columns that are known. unit: of q."""
+        """Names of all columns that are known. unit: as in `required`."""
         return [column.name.format(unit=unit) for column in self.columns]
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value of TOML is a finite number that a float can hold; true and false are none."""
+    """Whether a value of TOML is a finite number that a float can hold; true and false are no numbers."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= float_info.max
 
 
 def _error(where: str, says: str, topic: str) -> TautError:
-    """The error to raise. where: the file; says: what is wrong in it; topic: what `taut explain` says more of."""
+    """The error to raise. where: the file; says: what is wrong in it; topic: of `taut explain`, which says more."""
     return TautError(f"{where}: {says} (taut explain {topic})")

@@ -48,7 +48,7 @@ _LEAST = 0.1, 0.05, 0.2  # prior: and at least so much of B (offset), of the sca
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape of the shaft, beside the library's first one."""
+    """One shape of the shaft. Offset and scale are relative to the library's first shape."""
 
     name: str
     offset: float = 0.0  # of the transmission, unit of q
@@ -58,7 +58,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a tracker finds, beside the model that it tracks with."""
+    """What a tracker has learnt, relative to the model that it tracks with."""
 
     offset: float
     offset_sigma: float
@@ -76,7 +76,8 @@ class Library:
 
     @classmethod
     def load(cls, folder: str | Path) -> Library:
-        """Reads a library. TautError where there is none, or its index is damaged."""
+        """Reads a library's index; the models are read only when asked for. TautError where the folder has no index, or
+        a damaged one."""
         folder = Path(folder)
         index = folder / INDEX
         try:
@@ -93,17 +94,18 @@ class Library:
         return cls(folder, tuple(Shape(**SHAPE.read({"shape": one}, str(index))) for one in listed))
 
     def model(self, name: str) -> Model:
-        """The model of the shape with this name. TautError where there is none."""
+        """Reads the model of the shape with this name. TautError where there is none."""
         return Model.load(self.folder / self.of(name).name)
 
     def first(self) -> Model:
-        """The model against which the others' offset and scale are given."""
+        """Reads the model of the first shape, which offset and scale of the others are relative to. TautError for an
+        empty library."""
         if not self.shapes:
             raise TautError(f"{self.folder}: no shapes in it: add them with 'taut shapes add'")
         return self.model(self.shapes[0].name)
 
     def of(self, name: str) -> Shape:
-        """The shape of this name. TautError where there is none."""
+        """The entry of the shape with this name. TautError where there is none."""
         for shape in self.shapes:
             if shape.name == name:
                 return shape
@@ -112,7 +114,10 @@ class Library:
         )
 
     def add(self, name: str, model: Model, current_mA: float | None = None) -> Library:
-        """The library with a model's shape, which replaces one of that name; written to its folder."""
+        """Adds a model's shape, or replaces the one of that name, and writes model and index to the library's folder;
+        returns the new library. Offset and scale are worked out against the first shape. current_mA: mean motor current
+        in use, None if it is not to count. TautError for a name that is not allowed, for replacing the first shape
+        while there are others, and as of `offset_and_scale`."""
         index = self.folder / INDEX
         SHAPE.keys[0].read(name, "shape.name", str(index), SHAPE.file)
         others = tuple(shape for shape in self.shapes if shape.name != name)
@@ -129,15 +134,18 @@ class Library:
         return made
 
     def own(self, model: Model) -> Shape | None:
-        """The shape whose model this is, by what tables are made from; None where it is none of the library's."""
+        """The shape whose model this is: the one from which the same tables are made (`tables.model_id`). None where it
+        is not in the library."""
         wanted = tables.model_id(model)
         return next((s for s in self.shapes if tables.model_id(self.model(s.name)) == wanted), None)
 
     def nearest(self, seen: Seen, own: Shape, width: float) -> Shape | None:
-        """The only shape whose offset and scale (and current) agree with what was seen from `own`, whose mean B is
-        `width`; None where none or several do."""
+        """The only shape whose offset and scale, and current if both have one, agree with `seen`; None where none or
+        several do. own: the shape of the model that the tracker used; width: its mean B, unit of q. They agree within
+        _SIGMAS sigmas or the least tolerances _LEAST."""
         fits = []
         for shape in self.shapes:
+            # The library's values are relative to its first shape, what was seen is relative to `own`.
             off = (seen.offset - (shape.offset - own.offset), seen.scale - shape.scale / own.scale)
             most = (
                 max(_SIGMAS * seen.offset_sigma, _LEAST[0] * width),
@@ -152,9 +160,9 @@ class Library:
 
 
 def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
-    """The offset (unit of q; by which `first` needs a larger q for the same angle) and the scale of B (`other`'s over
-    `first`'s) that a tracker of `first` would find where `other` holds. TautError where the two have no range, angle or
-    unit in common, or no backlash."""
+    """What a tracker with the model `first` would find where `other` holds. Returns the offset, unit of q, by which
+    `first` needs a larger q for the same angle (the median over the range that both were measured in), and the scale of
+    B, `other`'s mean over `first`'s. TautError where the two have no range, angle or unit in common, or no backlash."""
     if first.rig.actuator.unit != other.rig.actuator.unit:
         raise TautError(f"one model is in {first.rig.actuator.unit}, the other in {other.rig.actuator.unit}")
     low, high = (pick(a, b) for pick, a, b in zip((max, min), first.measured, other.measured, strict=True))
@@ -175,8 +183,8 @@ def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
 
 
 def recalled(library: Library, recording: Recording) -> tuple[Shape, dict[str, float]]:
-    """The shape whose model predicts a recording best, and the rms of each by name. TautError where two are equally
-    good."""
+    """The shape whose model predicts a recording best, and the rms error of every shape's model by name, px or deg.
+    TautError for an empty library, and where the second best has less than _ALIKE times the error of the best."""
     rms = {shape.name: foretold(library.model(shape.name), recording) for shape in library.shapes}
     if not rms:
         raise TautError(f"{library.folder}: no shapes in it: add them with 'taut shapes add'")

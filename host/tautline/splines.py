@@ -29,45 +29,48 @@ class Basis:
 
     @property
     def step(self) -> float:
-        """Length of a span."""
+        """Length of one span, in the unit of x."""
         return (self.high - self.low) / self.spans
 
     @cached_property
     def knots(self) -> Array:
-        """(size + 4,) Where the pieces meet, three steps on beyond either end, as a cubic's first and last basis need
-        them."""
+        """(size + 4,) Where the pieces meet, with three more knots beyond either end, which the first and last cubic
+        basis functions need."""
         return np.asarray(self.low + self.step * np.arange(-3, self.spans + 4), dtype=float)
 
     @cached_property
     def centres(self) -> Array:
-        """(size,) where each coefficient acts."""
+        """(size,) The place x at which each coefficient acts most."""
         return np.asarray(self.low + self.step * np.arange(-1, self.spans + 2), dtype=float)
 
     @property
     def native(self) -> tuple[float, float, int]:
-        """How C knows it: low, step, size."""
+        """The basis as C takes it: low, step, size."""
         return self.low, self.step, self.size
 
     def clip(self, x: Array) -> Array:
-        """x (n,) with what lies beyond moved to the nearer end, just below the upper one, where the last span ends."""
+        """x (n,) with values beyond an end moved to that end; at the upper one to just below it, so that they are in
+        the last span."""
         inside: Array = np.clip(x, self.low, self.high - 1e-9 * (self.high - self.low))
         return inside
 
     def design(self, x: Array) -> csr_matrix:
-        """(n, size), sparse: `value` at x (n,) is design @ coefficients."""
+        """(n, size), sparse: the basis functions at x (n,); `value` is design @ coefficients."""
         return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
 
     def value(self, coefficients: Array, x: Array) -> Array:
-        """(n,) The curve with these coefficients (size,) at x (n,); (n, channels) of (size, channels)."""
+        """(n,) The curve with these coefficients (size,) at x (n,); with coefficients (size, channels) it is (n,
+        channels)."""
         return np.asarray(self._cubics(coefficients)(self.clip(x)))
 
     def table(self, coefficients: Array, x: Array) -> Array:
-        """(n,) As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
+        """(n,) As `value`, for places x (n,) that are asked for again and again: their design matrix is kept
+        (`_dense`)."""
         return np.asarray(_dense(self.low, self.high, self.spans, x.tobytes()) @ coefficients)
 
     def between(self, grid: Array, x: Array) -> Array:
-        """(n, size) What each coefficient does at x (n,) to a curve that is looked up linearly in a `table` on a rising
-        grid."""
+        """(n, size) The design matrix at x (n,) of a curve that is sampled on a rising grid (m,) and interpolated
+        linearly between its nodes."""
         last = len(grid) - 1
         position = np.interp(x, grid, np.arange(last + 1.0))
         before = np.minimum(position.astype(np.int64), last - 1)
@@ -76,41 +79,44 @@ class Basis:
         return np.asarray(table[before] * (1.0 - share) + table[before + 1] * share)
 
     def slope(self, coefficients: Array, x: Array) -> Array:
-        """The curve's derivative at x, shapes as of `value`; beyond the ends that at the nearer one."""
+        """The curve's derivative at x, shapes as of `value`; beyond an end the derivative at that end."""
         return np.asarray(self._cubics(coefficients)(self.clip(x), 1))
 
     def _cubics(self, coefficients: Array) -> PPoly:
-        """The curve as a cubic for each span: at thousands of places it takes a quarter of a B-spline's time."""
+        """The curve with these coefficients as one cubic polynomial for each span: evaluated at thousands of places it
+        takes a quarter of a B-spline's time."""
         return PPoly.construct_fast(self._powers @ coefficients, self.knots[3:-3])
 
     @cached_property
     def _powers(self) -> Array:
-        """(4, spans, size) What each coefficient does to the powers, the third first, of how far x is into a span."""
+        """(4, spans, size) What each coefficient contributes to a span's polynomial: to the factors of the third,
+        second, first and zeroth power of x less the span's start."""
         spline, begins = BSpline(self.knots, np.eye(self.size), 3), self.knots[3:-4]
         return np.stack([spline(begins, power) / math.factorial(power) for power in (3, 2, 1, 0)])
 
     def nearest(self, x: Array, values: Array) -> Array:
-        """(size,) or (size, channels) The coefficients nearest in least squares to values (n,) or (n, channels) at
-        places x (n,), which are in every span."""
+        """(size,) or (size, channels) The coefficients of the curve that fits values (n,) or (n, channels) at places x
+        (n,) best, by least squares. x must reach every span, or the normal matrix is singular."""
         design = self.design(x)
         return np.asarray(np.linalg.solve((design.T @ design).toarray(), design.T @ values))
 
     @cached_property
     def roughness(self) -> Array:
-        """(size, size) Penalty on squared second differences of the coefficients and a thousandth of the first ones:
-        where nothing is measured the curve levels out."""
+        """(size, size) Matrix R of a penalty c^T R c on coefficients c: their squared second differences, and a
+        millionth of their squared first ones, by which the curve levels out where nothing is measured."""
         second, first = np.diff(np.eye(self.size), 2, axis=0), np.diff(np.eye(self.size), 1, axis=0)
         return second.T @ second + 1e-6 * first.T @ first
 
     @cached_property
     def bending(self) -> Array:
-        """(size, size) Penalty on squared second differences alone: where nothing is measured the curve goes straight
-        on."""
+        """(size, size) Matrix of a penalty on squared second differences of the coefficients alone, by which the curve
+        goes straight on where nothing is measured."""
         second = np.diff(np.eye(self.size), 2, axis=0)
         return second.T @ second
 
 
 @lru_cache(maxsize=32)
 def _dense(low: float, high: float, spans: int, x: bytes) -> Array:
-    """(n, size) `Basis.design` at places x, a float64 array's bytes, as those can be looked up."""
+    """(n, size) `Basis.design` as a full array, kept for the last 32 sets of places. x: the places' bytes, float64, as
+    an array cannot be a key."""
     return np.asarray(Basis(low, high, spans).design(np.frombuffer(x)).toarray())

@@ -14,20 +14,22 @@ THIRD = 20.0  # equation: 1 + 9 + 9 + 1, the variance of a third difference of w
 
 
 def deviation(values: Array) -> float:
-    """One standard deviation of normal values about 0, (n,) or any shape, by the median of their sizes."""
+    """One standard deviation of normal values about 0, an array of any shape, by the median of their absolute
+    values."""
     return float(np.median(np.abs(values))) / MEDIAN
 
 
 def deviation_of_squares(squares: Array) -> float:
-    """One standard deviation of normal values about 0, by the median of their squares (n,) or any shape."""
+    """One standard deviation of normal values about 0, by the median of their squares, an array of any shape."""
     return float(np.sqrt(np.median(squares) / _MEDIAN2))
 
 
 def of_rounding(step: float) -> float:
-    """One standard deviation of what is anywhere within a step of its own width."""
+    """One standard deviation of a rounding error, which is uniform over one `step`: step / sqrt(12)."""
     return step / float(np.sqrt(12.0))  # equation: of a uniform density
 
 
 def interval(draws: Array, share: float) -> list[float]:
-    """Both ends of the interval in which this share of the draws (n,) lies, as many below as above it."""
+    """The lower and upper end of the interval that holds this share, 0 to 1, of the draws (n,), with as many below as
+    above it."""
     return [float(end) for end in np.quantile(draws, [0.5 - 0.5 * share, 0.5 + 0.5 * share])]

@@ -48,7 +48,8 @@ class Limits:
 
     @classmethod
     def of(cls, rig: Rig) -> Limits:
-        """Moderate limits: the range in half a second; take-up at half that speed, reached within 0.1 s."""
+        """Moderate limits for a rig: at most the range in half a second; take-up at half that speed, reached within 0.1
+        s."""
         actuator = rig.actuator
         return cls(
             speed_max=2.0 * actuator.span,
@@ -61,14 +62,14 @@ class Limits:
 
     @classmethod
     def in_use(cls, rig: Rig) -> Limits:
-        """Moderate limits for tables that may be moved in use: by a tenth of the range, and to B between 0 and twice as
-        wide."""
+        """Moderate limits (`of`) for tables that may be moved in use, by up to a tenth of the range, and to a B between
+        0 and twice as wide."""
         return replace(cls.of(rig), adapt=(_MOVED * rig.actuator.span, 0.0, 2.0))
 
 
 @dataclass(frozen=True)
 class Table:
-    """What a blob says, in the rig's unit and degrees."""
+    """The content of a blob, in the rig's unit and degrees."""
 
     axis: int
     kind: str  # bending, translation or rotation
@@ -90,8 +91,8 @@ class Table:
 
 
 def model_id(model: Model, joints: Mapping[str, Joint] | None = None) -> bytes:
-    """8 bytes by a hash over B, elements, f, delay, actuator and the effects that the tables undo. joints: as of
-    `encode`."""
+    """The model's id, 8 bytes: a hash over unit, range and resolution of its motor, B, elements, f, delay and the
+    sections that undo effects. joints: as of `encode`."""
     model, sections = tables_and_sections(model, joints)
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
@@ -112,8 +113,8 @@ def encode(
     instrument: str | None = None,
     joints: Mapping[str, Joint] | None = None,
 ) -> bytes:
-    """The model's blob for `axis`, with the sections that undo its effects, or a TautError that says why a board would
-    refuse it.
+    """Encodes the model as a blob for `axis`, with the sections that undo its effects. TautError, which says why, where
+    a board would refuse it.
 
     limits: of the compensator, default moderate ones; kind: a key of KINDS; created_s: since 1970, default now; joints:
     which axis of the board moves a column that couples in, by column. instrument: the serial of the one that it was
@@ -155,8 +156,9 @@ def encode(
 
 
 def _nodes(model: Model) -> tuple[Array, int]:
-    """The table's nodes (n,), Q8 counts, and k of their distance 2^k, the least with which at most TABLE_NODES_MAX
-    reach over the range; with several plays, which look a width beyond its ends, over that too."""
+    """The table's nodes (n,), Q8 counts, and k, where they are 2^k apart: the least k with which at most
+    TABLE_NODES_MAX nodes reach over the range. With several plays, which are looked up a width beyond either end, they
+    reach over that too."""
     rig = model.rig
     q_min, q_max = _range(rig)
     if q_max - q_min < 1:
@@ -169,7 +171,7 @@ def _nodes(model: Model) -> tuple[Array, int]:
 
 
 def _check_sections(sections: Mapping[str, Section]) -> None:
-    """TautError where a number of a section has more than 32 bits."""
+    """Raises TautError where a number of a section does not fit in 32 bits."""
     for name, section in sections.items():
         if any(abs(value) > INT32_MAX for values in section.values() for value in np.ravel(values).tolist()):
             raise TautError(
@@ -178,8 +180,8 @@ def _check_sections(sections: Mapping[str, Section]) -> None:
 
 
 def _adapt_section(adapt: tuple[float, float, float], rig: Rig) -> Section:
-    """The blob's section `adapt`: how far tables may be moved in use. adapt: offset (unit of q), least and most share
-    of B."""
+    """The blob's section `adapt`: how far tables may be moved in use. adapt: the largest offset, unit of q, and the
+    least and largest share of B."""
     offset, least, most = adapt
     return {
         "offset": _counts(offset, rig, "limits.adapt"),
@@ -189,15 +191,15 @@ def _adapt_section(adapt: tuple[float, float, float], rig: Rig) -> Section:
 
 
 def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
-    """Section 1 of the blob, several plays, for widths (n,) at nodes q (n,), Q8 counts; None for a single play. The
-    board's warp is straight between nodes; until the grid is fine enough for that, `narrow`, the least B that counts,
-    is raised. Where all of B is below, a single play is left."""
+    """Section 1 of the blob, several plays, for widths (n,) at nodes q (n,), Q8 counts. The board interpolates the warp
+    linearly between nodes; until that is accurate enough, `narrow`, the width below which B counts as that wide, is
+    raised. None for a single play, or where `narrow` would exceed all of B: a single play is then used."""
     elements, unit = model.elements, model.rig.actuator.encoder_resolution / COUNT
     if elements.single:
         return None
     ends = np.rint(np.cumsum(elements.weight) * _WEIGHT).astype(int)
-    weight_q16 = np.diff(ends, prepend=0)  # whole, and their sum as well
-    width_share = np.array(elements.width) * _WEIGHT / (weight_q16 @ np.array(elements.width))  # of B: mean 1 by these
+    weight_q16 = np.diff(ends, prepend=0)  # whole numbers that sum to _WEIGHT exactly
+    width_share = np.array(elements.width) * _WEIGHT / (weight_q16 @ np.array(elements.width))  # mean 1 by weight_q16
     narrow = model.play.narrow / unit
     while narrow < width.max():
         warp = warp_of(model.q, model.width, narrow * unit)
@@ -223,8 +225,9 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
 
 
 def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
-    """Largest error of the piecewise linear warp between nodes (a period should be 1), over the allowed one, where B is
-    wider than `narrow`. q, width (n,): Q8 counts; centre (n,): the warp, in periods. At most 1: fine enough."""
+    """The largest error of the warp, interpolated linearly between nodes (a period should be 1), relative to the error
+    that is allowed, where B is wider than `narrow`: at most 1 is accurate enough. q, width (n,): nodes and B, Q8
+    counts; centre (n,): the warp at the nodes, in periods."""
     floored = np.maximum(width, narrow)
     up_at, down_at = q + 0.5 * floored, q - 0.5 * floored  # where the motor pushes p = q up, and down
     motor = np.linspace(up_at[0], down_at[-1], 4 * len(q))
@@ -238,7 +241,8 @@ def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
 
 
 def decode(blob: bytes, axis: int | None = None) -> Table:
-    """A blob in physical units; TautError with the reason where a board would refuse it for `axis`."""
+    """Reads a blob into physical units. TautError, with the reason, where a board would refuse it for `axis`, or for
+    any axis where that is None."""
     try:
         fields = _native.FixedTable(blob, _native.TABLE_ANY_AXIS if axis is None else axis).fields
     except ValueError as error:
@@ -280,7 +284,8 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
 
 
 def _adapt_limits(section: Mapping[str, int] | None, unit: float) -> tuple[float, float, float] | None:
-    """Offset (unit of q), least and most share of B by the section `adapt`; None without one."""
+    """`Limits.adapt` by the blob's section `adapt`: the largest offset, unit of q, and the least and largest share of
+    B; None without that section. unit: unit of q per Q8 count."""
     if section is None:
         return None
     least, most = (section[f"width_{name}_q15"] / _native.RATIO_ONE for name in ("least", "most"))
@@ -288,7 +293,7 @@ def _adapt_limits(section: Mapping[str, int] | None, unit: float) -> tuple[float
 
 
 def _elements(plays: dict[str, Any] | None) -> Elements:
-    """The play's elements by section 1; a single one without it."""
+    """The play's elements by the blob's section 1, their mean width scaled to 1; a single one without that section."""
     if plays is None:
         return SINGLE
     weight = np.array(plays["weight_q16"]) / _WEIGHT
@@ -299,8 +304,9 @@ def _elements(plays: dict[str, Any] | None) -> Elements:
 def _header_fields(
     rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None
 ) -> dict[str, int]:
-    """The blob's header in the board's units. TautError, naming it, for what does not fit. delay_s: of the camera;
-    created_s: since 1970, now where it is None."""
+    """The fields of the blob's header, in the board's units. TautError, which names the field, for a value that does
+    not fit, and for an unknown kind or axis. delay_s: of the camera, below 0 counts as 0; created_s: since 1970, by
+    default now."""
     if kind not in KINDS:
         raise TautError(f"{kind!r} is not a kind of axis: {', '.join(KINDS)}")
     if not 0 <= axis < _native.TABLE_AXES:
@@ -330,13 +336,14 @@ def _header_fields(
 
 
 def _range(rig: Rig) -> tuple[int, int]:
-    """The motor's range, lowest and highest position, Q8 counts; TautError where a board cannot compute with it."""
+    """The motor's lowest and highest position, Q8 counts. TautError where a board cannot compute with them."""
     low, high = (_counts(q, rig, "actuator.range", _native.TABLE_POSITION_MAX) for q in rig.actuator.range)
     return low, high
 
 
 def _counts(value: float, rig: Rig, name: str, most: int = _native.TABLE_VALUE_MAX) -> int:
-    """The value, unit of q, in Q8 counts; TautError, naming it, where it does not fit."""
+    """The value, unit of q, in Q8 counts. TautError, which calls it `name`, where it is above `most`, Q8 counts, or not
+    finite."""
     counts = value / rig.actuator.encoder_resolution
     if not abs(counts) * COUNT <= most:
         raise TautError(
@@ -347,13 +354,14 @@ def _counts(value: float, rig: Rig, name: str, most: int = _native.TABLE_VALUE_M
 
 
 def _angle(value: float, name: str) -> int:
-    """The value, deg, as the board's Q16; TautError, naming it, where it does not fit."""
+    """The value, deg, in the board's Q16. TautError, which calls it `name`, where it does not fit."""
     limit: int = _native.TABLE_VALUE_MAX
     return _whole(value * DEG, name, -limit, limit)
 
 
 def _whole(value: float, name: str, low: int, high: int) -> int:
-    """The value rounded; TautError, naming it, outside of low .. high."""
+    """The value rounded to a whole number. TautError, which calls it `name`, where that is not within low .. high or
+    not finite."""
     if not np.isfinite(value) or not low <= round(value) <= high:
         raise TautError(
             f"{name} is too large or too small for the board's numbers: check it and the encoder resolution"
@@ -362,7 +370,8 @@ def _whole(value: float, name: str, low: int, high: int) -> int:
 
 
 def _raw(values: Array, name: str) -> Array:
-    """Values (n,) in the board's unit rounded to 32 bits; TautError, naming them, where they do not fit."""
+    """Values (n,), in the board's unit already, rounded to int32. TautError, which calls them `name`, where they do not
+    fit."""
     limit = float(_native.TABLE_VALUE_MAX)
     if not np.all(np.isfinite(values)) or np.abs(values).max() > limit:
         raise TautError(f"{name} is too large for the board's numbers or not finite: check the model and its units")
@@ -371,7 +380,8 @@ def _raw(values: Array, name: str) -> Array:
 
 
 def _checked(blob: bytes, axis: int) -> bytes:
-    """The blob, after the board's own check; TautError with its reason."""
+    """Returns the blob if the board's own check accepts it for this axis. TautError with the board's reason where it
+    does not."""
     name, text = _native.table_check(blob, axis)
     if name != "OK":
         raise TautError(f"the model cannot be loaded into a board: {text}")

@@ -32,12 +32,13 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """How long it lasts, s; it begins at 0."""
+        """How long the motion lasts, s, from 0 to its last sample."""
         return float(self.t_s[-1])
 
     def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
-        """The same bending while translation and rotation oscillate with these amplitudes, rotation slower by the
-        golden ratio, so that the two never repeat together; an amplitude of 0 leaves that axis out."""
+        """The same bending while the instrument oscillates along and about the base z axis with these amplitudes.
+        Translation has period_s, s; rotation is slower by the golden ratio, so that the two never repeat together. An
+        amplitude of 0 leaves that axis out."""
         phase = 2 * np.pi * self.t_s / period_s
         return replace(
             self,
@@ -47,14 +48,15 @@ class Trajectory:
 
 
 def _samples(duration_s: float) -> Array:
-    """(n,) The times, s, of a motion's samples from 0 to its end. TautError for a duration that none can have."""
+    """(n,) The times, s, of a motion's samples, from 0 to its end. TautError for a duration, s, below 0 or above
+    _LONGEST_S."""
     if not 0.0 <= duration_s <= _LONGEST_S:
         raise TautError(f"a motion lasts {duration_s:.6g} s: expected {_LONGEST_S:.0f} s at most")
     return np.arange(int(duration_s * RATE_HZ) + 1) / RATE_HZ
 
 
 def _check_speed(speed: float) -> None:
-    """TautError for a speed, unit/s, that no motion can have."""
+    """Raises TautError for a speed, unit/s, that is not above 0 and finite."""
     if not 0.0 < speed < np.inf:
         raise TautError(f"a motion's speed is {speed:g}: expected one above 0")
 
@@ -62,8 +64,9 @@ def _check_speed(speed: float) -> None:
 def through(
     points: Sequence[float] | Array, speed: float | Sequence[float], acceleration: float, dwell_s: float = 0.0
 ) -> Trajectory:
-    """Rest to rest through `points` (k,), unit of q, with trapezoidal speed, waiting `dwell_s` at each. speed: unit/s,
-    one or one for each of the k - 1 strokes; acceleration: unit/s^2."""
+    """A motion through `points` (k,), unit of q, that rests for dwell_s, s, at each, with a trapezoidal profile of
+    speed on each stroke. speed: unit/s, one for all, or one for each of the k - 1 strokes; acceleration: unit/s^2.
+    TautError for fewer than two points and for values that no motion can have."""
     points = np.asarray(points, dtype=np.float64)
     moves = len(points) >= 2 and np.isfinite(points).all() and np.all(np.asarray(speed) > 0.0)
     if not (moves and 0.0 < acceleration < np.inf and dwell_s >= 0.0):
@@ -86,7 +89,8 @@ def through(
 
 
 def in_turn(*parts: Trajectory) -> Trajectory:
-    """Bending motions one after the other; each has to begin where the one before ends."""
+    """One motion of several bending motions one after the other, without translation and rotation. Each has to begin
+    where the one before it ends."""
     q = np.concatenate([part.q for part in parts])
     return Trajectory(np.arange(len(q)) / RATE_HZ, q)
 
@@ -128,8 +132,9 @@ def back_and_forth(
 def trapezoids(
     actuator: Actuator, speed: float, amplitude: float, cycles: int, acceleration: float, dwell_s: float
 ) -> Trajectory:
-    """The paper's test motion (Fig. 10): `cycles` trapezoids of `amplitude` (peak to peak, unit of q) on a mean that
-    rises over the range. speed: unit/s; acceleration: unit/s^2; dwell_s: the rest at each turn."""
+    """The paper's test motion (Fig. 10): `cycles` trapezoids of `amplitude` (peak to peak, unit of q) about a mean that
+    rises over the range. speed: unit/s; acceleration: unit/s^2; dwell_s: the rest at each turn, s. TautError where the
+    amplitude does not fit the range."""
     low, high = actuator.range
     if not 0 < amplitude < high - low:
         raise TautError(f"an amplitude of {amplitude:g} {actuator.unit} does not fit the range [{low:g}, {high:g}]")
@@ -139,8 +144,9 @@ def trapezoids(
 
 
 def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
-    """Two sines that never repeat together (periods by the golden ratio apart, 60 and 35 % of half the range), together
-    at most as fast as `speed`, unit/s."""
+    """A sum of two sines about the middle of the range, of 60 and 35 % of half the range, whose periods differ by the
+    golden ratio, so that they never repeat together. At its fastest it goes at `speed`, unit/s. TautError for a speed
+    or a duration that no motion can have."""
     _check_speed(speed)
     low, high = actuator.range
     half = 0.5 * (high - low)
@@ -151,8 +157,8 @@ def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
 
 
 def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int) -> Trajectory:
-    """A smooth random motion over the range with reversals anywhere; `speed`, unit/s, is its greatest, within some
-    20 %. seed: by which it is drawn."""
+    """A smooth random motion over the range with reversals anywhere. speed: its greatest, unit/s, within some 20 %;
+    seed: of the random numbers. TautError for a speed or a duration that no motion can have."""
     _check_speed(speed)
     low, high = actuator.range
     rng = np.random.default_rng([seed, 0x7247])

@@ -15,7 +15,7 @@ from tautline.effects.library.rate_dependent_backlash import added_width, follow
 from tautline.elements import Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Effect, Model
-from tautline.nearest import Nearest, fewer, nearest_plays
+from tautline.nearest import Nearest, merged_elements, nearest_plays
 
 Array = npt.NDArray[np.float64]
 
@@ -48,20 +48,21 @@ class Joint:
 
 
 def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
-    """Parameters, by effect id, of the effects that the model's own tables do not hold."""
+    """Parameters, by effect id, of the model's effects that its tables, rig and delay do not hold already."""
     from tautline.effects import BY_ID, of_this_version
 
     return {effect.id: dict(effect.parameters) for effect in of_this_version(model) if BY_ID[effect.id].holds is None}
 
 
 def in_words(remains: Iterable[str]) -> str:
-    """The ids that `not_undone` gave as a list for a message, with what the tables do of them all the same."""
+    """A list in words, for a message, of the ids that `not_undone` gave. An effect that tables could undo has behind
+    it, in brackets, what is missing for that."""
     return ", ".join(name + _WHERE.get(name, "") for name in remains)
 
 
 def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
-    """Ids of the model's effects that its tables cannot undo, or not everywhere (_WHERE); joints: as in
-    `tables_and_sections`."""
+    """Ids of the model's effects that its tables do not undo: those that no board can, and coupled axes where no axis
+    of the board is known for them. joints: as in `tables_and_sections`."""
     from tautline.effects import BY_ID, of_this_version
 
     ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
@@ -71,7 +72,8 @@ def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[
 
 
 def stands_in(model: Model) -> Nearest | None:
-    """The plays that a board has instead of the model's hysteresis; None where tables hold that itself."""
+    """The plays that a board has in place of the model's hysteresis; None where a board's tables can hold that
+    itself."""
     if model.friction is None and len(model.elements.width) <= _native.TABLE_PLAYS_MAX:
         return None
     low, high = model.rig.actuator.range
@@ -82,7 +84,8 @@ def stands_in(model: Model) -> Nearest | None:
 
 @lru_cache(maxsize=16)
 def _nearest(q: bytes, width: bytes, hysteresis: Hysteresis, low: float, high: float) -> Nearest:
-    """`nearest_plays` within low .. high, kept; q and width are float64 arrays' bytes, as those can be looked up."""
+    """`nearest_plays` within the motor's range low .. high, kept for the last 16 models. q, width: the table of B as
+    the bytes of float64 arrays, as an array cannot be a key."""
     return nearest_plays(np.frombuffer(q), np.frombuffer(width), hysteresis, (low, high))
 
 
@@ -115,8 +118,9 @@ def tables_and_sections(model: Model, joints: Mapping[str, Joint] | None = None)
 
 
 def _encoder_section(v: Mapping[str, float], count: float) -> Section:
-    """Section `encoder`: first and second harmonics in Q8 counts (`count`, unit of q, each), and the period, of the
-    once-per-turn error; {} where all harmonics round to 0. TautError where the period is too long."""
+    """Section `encoder`: the once-per-turn error's first and second harmonics in Q8 counts, and its period; {} where
+    all harmonics round to 0. v: the effect's parameters; count: unit of q per Q8 count. TautError where the period is
+    too long."""
     names = {"sine": "sin", "cosine": "cos", "sine2": "sin2", "cosine2": "cos2"}
     section: Section = {to: round(v.get(f"encoder_{name}", 0.0) / count) for to, name in names.items()}
     period = round(v["encoder_period"] / count * 16.0)  # format: Q12 of an encoder's count
@@ -126,16 +130,16 @@ def _encoder_section(v: Mapping[str, float], count: float) -> Section:
 
 
 def _step_log2(reach: float) -> int:
-    """Logarithm to the base 2 of the step with which a section's small table reaches to `reach`, in Q8 counts or Q8
-    counts/s; within what the board allows."""
+    """Base-2 logarithm of the step with which a section's small table, of TABLE_STEPS steps, reaches at least to
+    `reach`, Q8 counts or Q8 counts/s; clipped to what the board allows."""
     return int(np.clip(np.ceil(np.log2(max(reach, 1.0) / _native.TABLE_STEPS)), 0, _STEP_LOG2_MAX))
 
 
 def _sides_sections(v: Mapping[str, float], count: float) -> dict[str, Section]:
-    """Section `sides` of an asymmetric backlash, in Q8 counts of `count`, unit of q. Once the play has turned towards
-    the side where it is wider, it lags by L(x) = |asymmetry| exp(-(x / travel)^form) more, x being the motor's travel
-    since it took it up. The table is of L over the play's own travel, d = x + L(0) - L(x). Beside it section `anew`,
-    us, where that is so again after rests. {} where L is below 1."""
+    """Section `sides` of an asymmetric backlash, in Q8 counts. After the play turned towards its wider side it lags by
+    L(x) = |asymmetry| exp(-(x / travel)^form) more, x being the motor's travel since it took the play up. The table has
+    L over the play's own travel, d = x + L(0) - L(x). Section `anew`, us, is added where a rest of that time lets L
+    begin anew. {} where L(0) is below 1. v: the effect's parameters; count: unit of q per Q8 count."""
     size, travel, form = abs(v["asymmetry"]) / count, v["asymmetry_travel"] / count, v.get("asymmetry_form", 1.0)
     if size < 1.0:
         return {}
@@ -153,8 +157,9 @@ def _sides_sections(v: Mapping[str, float], count: float) -> dict[str, Section]:
 
 
 def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Section:
-    """Section `speed`: what the width grows by (`extra`) over speeds up to twice the range a second, in Q8 counts of
-    `count`, unit of q; the time in which it follows the speed; and whether it is held while the motor rests."""
+    """Section `speed`: by how much the width grows (`extra`, Q8 counts), over motor speeds up to twice the range in a
+    second; the time in which this follows the speed; and whether it is held while the motor rests. v: the effect's
+    parameters; count: unit of q per Q8 count."""
     step_log2 = _step_log2(2.0 * model.rig.actuator.span / count)
     speed = _NODES * 2.0**step_log2 * count
     extra = added_width(v, float(model.q[-1] - model.q[0]), speed)
@@ -173,9 +178,10 @@ def _pressed_section(
     model: Model,
     count: float,
 ) -> dict[str, Section]:
-    """Section `pressed`: B's mean over the grid in Q8 counts of `count`, unit of q, and the shares, Q16, of what the
-    sections `sides` and `speed` add that go with the place as B does. {} where none of these has one, or there is no
-    B."""
+    """Section `pressed`: the mean of B over the grid, Q8 counts, and, of the widths that sections `sides` and `speed`
+    add, the shares, Q16, that are larger or smaller from place to place as B is. {} where all shares are 0 or there is
+    no B. asymmetry, speed: parameters of the two effects; beside: the sections made so far; count: unit of q per Q8
+    count."""
     shares = {"sides": asymmetry.get("asymmetry_pressed", 0.0), "speed": speed.get("speed_pressed", 0.0)}
     between = 0.5 * (model.width[1:] + model.width[:-1])
     mean = round(float(np.average(between, weights=np.diff(model.q))) / count)
@@ -184,12 +190,13 @@ def _pressed_section(
 
 
 def _late_section(v: Mapping[str, float]) -> Section:
-    """Section `late`: the inverse of lag and creep as a sum of first-order followers, y + sum a (y - y_T), by partial
-    fractions; gains a in Q16, times T in us. The lag has two stages in a row: `lag`, s, is the sum of their time
-    constants, of which the second has the share `lag_second`. Lags are undone but for a short filter, creep up to
-    _CREEP_MOST, its slow part five times slower (effects/creep.c). {} where there are none."""
+    """Section `late`: the inverse of lag and creep, as y + sum a (y - y_T), where y_T follows y at first order with
+    time T: gains a in Q16, times T in us. Lag has two stages in a row, whose time constants sum to `lag`, s, and of
+    which the second has the share `lag_second`; its inverse is exact but for a short filter per stage. Creep is undone
+    up to a share _CREEP_MOST; its slow part is _SLOWER times slower (effects/creep.c). {} without both. v: parameters
+    of both effects."""
     lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
-    above, below = np.poly1d([1.0]), np.poly1d([1.0])
+    above, below = np.poly1d([1.0]), np.poly1d([1.0])  # the inverse's numerator and denominator, of Laplace's s
     filtered = 0.0
     for stage in sorted([lag * second, lag * (1.0 - second)]):
         if stage > 0.0:
@@ -202,6 +209,7 @@ def _late_section(v: Mapping[str, float]) -> Section:
         above = above * fast * slowly
         below = below * ((1.0 - share) * fast * slowly + share * (1.0 - slow) * slowly + share * slow * fast)
     poles = np.sort(np.real(below.roots))  # apart from one another
+    # equation: partial fractions: a (y - y_T) is a T s / (T s + 1), of residue a p at its pole p = -1 / T
     gains = np.clip(above(poles) / below.deriv()(poles) / poles, -_GAIN_MOST, _GAIN_MOST)
     gains_q16 = [round(float(gain) * 65536.0) for gain in gains]  # format: Q16
     times_us = [round(-1e6 / float(pole)) for pole in poles]  # format: us
@@ -210,8 +218,9 @@ def _late_section(v: Mapping[str, float]) -> Section:
 
 
 def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section:
-    """Section `load`: by mNm beyond the reference load (mNm, Q8) the share by which width and gain grow (Q24) and the
-    offset (counts, Q16); `middle`, deg Q16, is where gain leaves the angle. count: a Q8 count, unit of q."""
+    """Section `load`: for each mNm above the reference load (mNm, Q8), the shares by which width and gain grow (Q24)
+    and the offset (counts, Q16); and the angle `middle` (deg, Q16), about which the gain acts. v: the effect's
+    parameters; count: unit of q per Q8 count."""
     reference = model.load_reference_mNm
     return {
         "reference": round(reference * 256.0),  # format: Q8
@@ -223,9 +232,10 @@ def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section
 
 
 def _joints_sections(v: Mapping[str, Any], model: Model, joints: Mapping[str, Joint]) -> dict[str, Section]:
-    """Section `joints`: the columns that couple in whose axis is known: axis + 1 (0: none), its backlash in Q8 counts,
-    and deg per count in Q28. Where they move the motor before the play these are 0, and section `before` has counts of
-    the motor per count in Q20 instead. {} where no axis is known."""
+    """Section `joints`, for the columns that couple in and whose axis is known: its axis + 1 (0: none), backlash in Q8
+    counts, and deg per count in Q28. Where these axes move the motor before the play, deg per count is 0 and section
+    `before` has counts of the motor per count, Q20. {} where no axis is known. v: the effect's parameters; joints: by
+    column."""
     from tautline.effects import kind_of
 
     kind = kind_of(Effect(COUPLED, dict(v)))
@@ -252,10 +262,10 @@ def _joints_sections(v: Mapping[str, Any], model: Model, joints: Mapping[str, Jo
 
 
 def onset_elements(elements: Elements, v: Mapping[str, float]) -> Elements:
-    """The elements nearest to a play with spread thresholds (transmission.smooth_onset); each of `elements` is spread
-    by itself."""
+    """The elements of a model with a gradual onset (transmission.smooth_onset, parameters v): each of `elements`
+    becomes several, whose thresholds are spread about its own, and these are merged to as many as a board has."""
     spread, share = _native.onset_lots(dict(v))
     width = np.outer(elements.width, spread).ravel()
     weight = np.outer(elements.weight, share).ravel()
     order = np.argsort(width, kind="stable")
-    return fewer(width[order], weight[order])
+    return merged_elements(width[order], weight[order])

@@ -15,7 +15,8 @@ _SHOWN = 3  # items of a sequence
 
 
 class Value:
-    """For frozen dataclasses made with eq=False and repr=False. What is cached on them is no part of them."""
+    """Equality, pickling and repr for frozen dataclasses made with eq=False and repr=False; cached properties are left
+    out of all three."""
 
     def __eq__(self, other: object) -> bool:
         """Whether both are of one type and their fields hold the same (`same`)."""
@@ -24,7 +25,7 @@ class Value:
     __hash__ = None  # type: ignore[assignment]  # arrays have none
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: the fields, without what is cached beside them, which is made anew."""
+        """The state to pickle: the fields alone. What is cached beside them is made anew after unpickling."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def __repr__(self) -> str:
@@ -34,8 +35,8 @@ class Value:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Whether two values hold the same: arrays and dataclasses element by element (NaN equals itself), tuples and lists
-    by their items."""
+    """Whether two values hold the same: arrays and dataclasses element by element (NaN equals itself), mappings, tuples
+    and lists by their items. A tuple may equal a list."""
     if one is other:
         return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
@@ -55,7 +56,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def _same_arrays(one: Any, other: Any) -> bool:
-    """Whether both are arrays of one type with the same elements, NaN equal to itself."""
+    """Whether both are arrays of one dtype and one shape with the same elements, NaN equal to itself."""
     if not (isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and one.dtype == other.dtype):
         return False
     if one.dtype == object:
@@ -69,7 +70,8 @@ def _same_fields(one: Any, other: Any) -> bool:
 
 
 def _short_repr(value: Any) -> str:
-    """A value's repr, short: of arrays their shape, of long collections their length."""
+    """A short repr of a field: of arrays shape and range, of long collections the number of items, of other objects the
+    type."""
     if isinstance(value, np.ndarray):
         shape = "x".join(map(str, value.shape))
         if value.dtype.kind not in "fiu" or not np.isfinite(value).any():

@@ -40,7 +40,7 @@ class OutsideBlock:
     steps: tuple[float, ...] = ()  # of the values, over which what goes out is near enough straight
 
     def __post_init__(self) -> None:
-        """ValueError where a value has no step above 0."""
+        """Raises ValueError unless each value has a step above 0."""
         if len(self.values) != len(self.steps) or not all(step > 0.0 for step in self.steps):
             raise ValueError(f"{self.name}: every value needs a step above 0")
 
@@ -71,7 +71,7 @@ class Chain:
     outside: Sequence[OutsideBlock] = field(default=())
 
     def __post_init__(self) -> None:
-        """TautError for blocks from outside that do not go together, or not with the model's effects."""
+        """Raises TautError for more than one plant, and for a plant or a state block beside effects of the library."""
         inside = [block for block in self.outside if block.stage in (Stage.PLANT, Stage.STATE)]
         if sum(block.stage is Stage.PLANT for block in inside) > 1:
             raise TautError("a chain has one plant: put the others into states")
@@ -79,8 +79,9 @@ class Chain:
             raise TautError(f"{inside[0].name}: the model's own effects stand where it would: use its nominal model")
 
     def at(self, path: MotorPath, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Seen:
-        """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, or at
-        start_deg. TautError where start_deg is no number."""
+        """What is seen at scene times scene_s (n,), s, on the motor's clock, in any order. The tip starts on the centre
+        line, or at start_deg. TautError where start_deg is no number, or a block gives another shape than it was
+        given."""
         check_start(start_deg)
         scene, begin_s = np.asarray(scene_s, dtype=float), float(path.lines.t_s[0])
         if not self.outside:
@@ -89,7 +90,7 @@ class Chain:
         q = self._through_blocks(Stage.INPUT, course, path.at(course))
         tip = self._simulated(path.lines.resampled(course, q, path.lines.extra), course, start_deg, begin_s)
         if any(block.stage in (Stage.PLANT, Stage.STATE) for block in self.outside):
-            # A block that is the plant makes p of q in the play's place; one of the state changes p, wherever it is of.
+            # A plant makes p of q in the play's place; a state block changes p, the plant's or the model's own.
             plant = any(block.stage is Stage.PLANT for block in self.outside)
             p = self._through_blocks(Stage.PLANT, course, q) if plant else tip.p
             p = self._through_blocks(Stage.STATE, course, p)
@@ -98,18 +99,20 @@ class Chain:
         return Seen(_seen_rows(self.model, tip)[np.searchsorted(course, scene)])
 
     def slopes(self, path: MotorPath, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Array:
-        """(n, 1 or 3, m) derivatives of `at`'s rows by the values of all blocks from outside, in their order."""
+        """(n, 1 or 3, m) Derivatives of `at`'s rows by the values of all blocks from outside, in their order, by
+        central differences of the blocks' own steps."""
         values = np.array([value for block in self.outside for value in block.values])
         steps = np.array([step for block in self.outside for step in block.steps])
         return by_differences(lambda x: self._with(x).at(path, scene_s, start_deg).rows, values, steps)
 
     def _with(self, values: Array) -> Chain:
-        """The chain with these values (m,) of all blocks from outside, in their order."""
+        """The chain with other values (m,) of its blocks from outside: those of all blocks, one after the other."""
         rest = iter(values.tolist())
         return replace(self, outside=[replace(b, values=tuple(next(rest) for _ in b.values)) for b in self.outside])
 
     def _through_blocks(self, stage: Stage, t_s: Array, x: Array) -> Array:
-        """Values x at times t_s after all blocks of this stage."""
+        """(n,) What the blocks of this stage, one after the other, make of values x at times t_s (n,), s. TautError
+        where one gives another shape."""
         for block in self.outside:
             if block.stage is stage:
                 x = np.asarray(block.run(t_s, x, np.array(block.values)), dtype=float)
@@ -118,15 +121,15 @@ class Chain:
         return x
 
     def _simulated(self, lines: Motor, scene: Array, start_deg: float | None, begin_s: float) -> effects.Path:
-        """The tip at scene times (n,), s, by the model and its own effects, without blocks from outside. begin_s: of
-        the motor's path, of which the lines may have further knots before."""
+        """The tip at scene times (n,), s, by the model and its own effects, without blocks from outside. begin_s: when
+        the motor's path begins, s; `lines` may have further knots before that."""
         own, reference = effects.of_model(self.model), self.model.load_reference_mNm
         return effects.follow(self.model, lines, scene, own, start_deg, reference, clock_begin_s=begin_s)
 
 
 def by_differences(rows: Callable[[Array], Array], at: Array, steps: Array) -> Array:
-    """(..., m) Central differences of the array rows(values) (...) by values (m,), with these steps; 0 where a step is
-    0."""
+    """(..., m) Central differences of an array rows(values) (...) by its values at `at` (m,), with half-widths `steps`
+    (m,); 0 where a step is 0."""
     columns = []
     for i, step in enumerate(steps):
         away = np.zeros(len(at))
@@ -136,7 +139,7 @@ def by_differences(rows: Callable[[Array], Array], at: Array, steps: Array) -> A
 
 
 def _seen_rows(model: Model, tip: effects.Path) -> Array:
-    """(n, 1) deg, or (n, 3) deg and px with a camera, of a tip's path."""
+    """The rows of `Seen` for a tip's path: (n, 1) deg, or (n, 3) deg and px where a camera sees the tip."""
     c = tip.c_deg[:, None]
     if not model.rig.has_camera:
         return c

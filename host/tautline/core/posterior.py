@@ -31,15 +31,16 @@ class Posterior(Value):
     log_evidence: float = np.nan
 
     def __post_init__(self) -> None:
-        """ValueError where names, mean and covariance are not of one number, or a name is there twice."""
+        """Raises ValueError unless there are as many means, variances and different names."""
         n = len(self.names)
         if self.mean.shape != (n,) or self.covariance.shape != (n, n) or len(set(self.names)) != n:
             raise ValueError(f"a posterior of {n} parameters needs as many different names, means and variances")
 
     @classmethod
     def laplace(cls, names: Sequence[str], mode: Array, hessian: Array, log_joint: float) -> Self:
-        """The normal approximation at the mode (n,) of the parameters, where log(likelihood times prior) is log_joint
-        and its second derivatives are -hessian (n, n). LinAlgError where that is not positive definite."""
+        """The normal approximation at the mode (n,) of the parameters: covariance H^-1, log evidence log_joint + n/2
+        log(2 pi) - 1/2 log det H. log_joint: log(likelihood times prior) at the mode; H, `hessian` (n, n): its second
+        derivatives, negated. LinAlgError where H is not positive definite."""
         factor = cho_factor(hessian)
         half_log_det = float(np.sum(np.log(np.diag(factor[0]))))
         evidence = log_joint + 0.5 * len(mode) * float(np.log(2.0 * np.pi)) - half_log_det
@@ -47,23 +48,26 @@ class Posterior(Value):
 
     @property
     def sigma(self) -> Array:
-        """(n,) one standard deviation of each."""
+        """(n,) One standard deviation of each parameter."""
         return np.sqrt(np.diag(self.covariance))
 
     def marginal(self, names: Sequence[str]) -> Self:
-        """The posterior of these parameters alone, the others integrated out."""
+        """The posterior of these parameters alone, in the order of `names`, the others integrated out. ValueError for
+        an unknown name."""
         at = self._indices(names)
         return type(self)(tuple(names), self.mean[at], self.covariance[np.ix_(at, at)], self.log_evidence)
 
     def given(self, values: Mapping[str, float]) -> Self:
-        """The posterior of the other parameters if these have known values; its evidence is the joint density of the
-        data and these values."""
+        """The posterior of the other parameters if these have known values, by name: the normal distribution's
+        conditional one. Its log_evidence is the log of the joint density of the data and these values. ValueError for
+        an unknown name."""
         known = self._indices(list(values))
         rest = np.setdiff1d(np.arange(len(self.names)), known)
         off = np.array(list(values.values())) - self.mean[known]
         within = self.covariance[np.ix_(known, known)]
         factor = cho_factor(within)
         across = self.covariance[np.ix_(rest, known)]
+        # -2 log of the known values' normal density, but for 2 pi: squares over variance, and log det.
         squares = float(off @ cho_solve(factor, off)) + 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
         return type(self)(
             tuple(self.names[i] for i in rest),
@@ -73,11 +77,12 @@ class Posterior(Value):
         )
 
     def spread(self, slopes: Array) -> Array:
-        """(...) one standard deviation of what depends on the parameters with these derivatives (..., n)."""
+        """(...) One standard deviation of quantities with derivatives `slopes` (..., n) by the parameters, to first
+        order: sqrt(g^T C g), C being the covariance."""
         return np.asarray(np.sqrt(np.einsum("...i,ij,...j->...", slopes, self.covariance, slopes)))
 
     def save(self, path: Path) -> None:
-        """Writes one JSON file, without loss. TautError where it cannot be written."""
+        """Writes the posterior as a JSON file, without loss. TautError where it cannot be written."""
         told = self.log_evidence if np.isfinite(self.log_evidence) else None
         arrays = {"mean": self.mean.tolist(), "covariance": self.covariance.tolist()}
         document = {"format": FORMAT, "names": list(self.names), **arrays, "log_evidence": told}
@@ -85,7 +90,7 @@ class Posterior(Value):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Reads what `save` wrote. TautError where there is none, or something else."""
+        """Reads what `save` wrote. TautError where there is no such file, or it holds something else."""
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
             if document["format"] != FORMAT:
@@ -99,7 +104,8 @@ class Posterior(Value):
             raise TautError(f"{path}: no posterior, or a damaged one: write it again") from error
 
     def _indices(self, names: Sequence[str]) -> npt.NDArray[np.intp]:
-        """The places of these parameters in the posterior, (len(names),). ValueError for a name that is not in it."""
+        """The places of these parameters in the posterior, (len(names),). ValueError for a name that it does not
+        have."""
         if unknown := [name for name in names if name not in self.names]:
             raise ValueError(f"{', '.join(unknown)}: no such parameter, there are {', '.join(self.names)}")
         return np.array([self.names.index(name) for name in names], dtype=np.intp)

@@ -25,9 +25,9 @@ class SessionClock:
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> Self:
-        """The offsets that put recordings on one clock. Recordings share a clock where their times do not overlap, in
-        whatever order they are given. The first that overlaps an earlier one is put after all before it, and later ones
-        that are after it share its clock."""
+        """The offsets, s, that put recordings on one clock. A recording shares the clock of those before it where their
+        times do not overlap, in whatever order they are given. One that overlaps is put GAP_S after the end of all
+        before it, and later ones that begin after its own begin may share its clock."""
         offsets: list[float] = []
         known: list[bool] = []
         group: list[tuple[float, float]] = []  # spans that share the clock in use
@@ -51,25 +51,30 @@ class Session(Value, Sequence[Recording]):
     recordings: tuple[Recording, ...]
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
+        """Keeps the recordings, in the order given."""
         object.__setattr__(self, "recordings", tuple(recordings))
 
     @cached_property
     def clock(self) -> SessionClock:
-        """Where each of them lies, in the order given."""
+        """Where each of the recordings lies on the session's clock, in the order given."""
         return SessionClock.of(self.recordings)
 
     def in_time(self) -> Session:
-        """The same session, the earliest recording first: results do not depend on the order of the files."""
+        """The same session in order of time, the earliest recording first: results then do not depend on the order of
+        the files."""
         begins = [
             float(r.motor.t_s[0]) + offset for r, offset in zip(self.recordings, self.clock.offset_s, strict=True)
         ]
         return Session([self.recordings[i] for i in np.argsort(begins, kind="stable")])
 
     def __len__(self) -> int:
+        """How many recordings there are."""
         return len(self.recordings)
 
     def __getitem__(self, i):  # type: ignore[no-untyped-def]
+        """The i-th recording; of a slice a tuple of them."""
         return self.recordings[i]
 
     def __iter__(self) -> Iterator[Recording]:
+        """The recordings, in order."""
         return iter(self.recordings)

@@ -19,15 +19,16 @@ from tautline.explain.topic import KINDS, Topic
 
 @cache
 def topics() -> Mapping[str, Topic]:
-    """All topics by code, in the order of KINDS."""
+    """All topics by code, in the order of KINDS; collected once."""
     listed = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), _formats(), TERMS))
     listed.sort(key=lambda topic: list(KINDS).index(topic.kind))
     return {topic.code: topic for topic in listed}
 
 
 def find(name: str) -> Topic:
-    """The topic of a code, its last part or an alias, in any case. TautError with the nearest ones where there is
-    none."""
+    """The topic of a name, in upper or lower case: a code, an alias, or the last part of a code if no other code ends
+    so. Any name that begins with "simulator." has one and the same topic. TautError, which names the nearest codes,
+    where there is none."""
     known = topics()
     wanted = name.strip().strip("[]").casefold()
     if wanted.startswith("simulator."):
@@ -47,12 +48,12 @@ def find(name: str) -> Topic:
 
 
 def of_effect(name: str) -> Topic:
-    """The topic of an effect by its id: all parameters of a simulator share one."""
+    """The topic of an effect, by its id; all parameters of a simulator share one topic. KeyError for an unknown id."""
     return topics()["simulator" if name.startswith("simulator.") else name]
 
 
 def link(code: str) -> str:
-    """The command that explains a code, "" where nothing does."""
+    """The command that explains a code; "" where there is no topic of that code."""
     return f"taut explain {code}" if code in topics() else ""
 
 
@@ -62,7 +63,7 @@ def _names(topic: Topic) -> set[str]:
 
 
 def _effects() -> Iterator[Topic]:
-    """A topic for every effect of the library."""
+    """Yields one topic for all parameters of a simulator, then one for every effect of the library."""
     from tautline.effects import LIBRARY, SIMULATOR, of_simulator
 
     own, meanings = of_simulator("NAME"), _meanings()
@@ -97,13 +98,15 @@ def _effects() -> Iterator[Topic]:
 
 
 def _meanings() -> dict[str, str]:
-    """What each parameter of an effect with a law in C means, by its name; an effect's id before it is left out."""
+    """What each parameter of the effects in C means, by the parameter's name; the effect's id, which stands before
+    that, is left out."""
     every = (*_native.effect_parameters, *_native.projection_parameters)
     return {name: meaning.partition(": ")[2] for name, _, _, meaning in every}
 
 
 def _in_words(parameter: Parameter, meanings: Mapping[str, str]) -> str:
-    """What a parameter means, its unit and the change that is noticed; of one that is one of two, what either means."""
+    """What a parameter means, its unit and which change of it is noticed. For a parameter that is one of two values,
+    only what they mean. meanings: as of `_meanings`."""
     means = meanings.get(parameter.name, "")
     if parameter.searched and len(parameter.shape) > 1:
         return means or " or ".join(f"{value:g}" for value in parameter.shape)
@@ -113,7 +116,7 @@ def _in_words(parameter: Parameter, meanings: Mapping[str, str]) -> str:
 
 
 def _faults() -> Iterator[Topic]:
-    """A topic for every fault of a board."""
+    """Yields a topic for every fault of a board."""
     from tautline.device import wire
 
     for name, (number, text) in wire.wire.FAULTS.items():
@@ -127,7 +130,8 @@ def _faults() -> Iterator[Topic]:
 
 
 def _without_measure(says: str) -> tuple[str, str]:
-    """A fault's text without the brackets in which a message has the measured value, and a sentence on its unit."""
+    """Splits a fault's text: returns it without the brackets in which a message has the measured value, and a sentence
+    on the unit of that value, "" where the text has no brackets."""
     found = re.search(r" \((?:by |at )?([^)]+)\)", says)
     if found is None:
         return says, ""
@@ -135,7 +139,7 @@ def _without_measure(says: str) -> tuple[str, str]:
 
 
 def _refusals() -> Iterator[Topic]:
-    """A topic for every reason why a board refuses something."""
+    """Yields a topic for every reason why a board refuses something."""
     from tautline.device import wire
 
     for name, (_, text) in wire.wire.REASONS.items():
@@ -149,7 +153,7 @@ def _refusals() -> Iterator[Topic]:
 
 
 def _keys() -> Iterator[Topic]:
-    """A topic for every key of the files."""
+    """Yields a topic for every section of rig.toml and shapes.toml, and one for each of its keys."""
     from tautline.rig import SECTIONS
     from tautline.shapes import SHAPE
 
@@ -172,7 +176,7 @@ def _keys() -> Iterator[Topic]:
 
 
 def _formats() -> Iterator[Topic]:
-    """A topic for every export format."""
+    """Yields a topic for every format of `taut export`."""
     from tautline.io.exporting.formats import EXTRA, FORMATS
 
     for form in FORMATS:
@@ -189,7 +193,7 @@ def _formats() -> Iterator[Topic]:
 
 
 def _files() -> Iterator[Topic]:
-    """A topic for every file."""
+    """Yields a topic for every CSV file of a recording, with its columns."""
     from tautline.layouts import LAYOUTS
 
     for layout in LAYOUTS:

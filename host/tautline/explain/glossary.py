@@ -6,7 +6,7 @@ from tautline.explain.topic import Topic
 
 
 def _term(code: str, what: str, *see: str, aliases: tuple[str, ...] = ()) -> Topic:
-    """The topic of a word: what it means, codes of topics to see, and what else it is called."""
+    """Makes the topic of a word. what: its meaning; see: codes of related topics; aliases: what else it is called."""
     return Topic(code, "term", what, see=see, aliases=aliases)
 
 

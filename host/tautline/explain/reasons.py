@@ -6,7 +6,8 @@ from tautline.explain.topic import Topic
 
 
 def _reason(code: str, what: str, tell: str, mend: str, *see: str) -> Topic:
-    """The topic of a reason: what is wrong, how to tell, what to do, and codes of topics to see."""
+    """Makes the topic of a reason. what: is wrong; tell: how to tell; mend: what to do; see: codes of related
+    topics."""
     return Topic(code, "reason", what, tell=tell, mend=mend, see=see)
 
 

@@ -32,5 +32,5 @@ class Topic:
 
     @property
     def file(self) -> str:
-        """The name of the file of the topic's page."""
+        """The file name of the topic's HTML page, made of its kind and code."""
         return f"{self.kind}-{self.code.lower().replace(' ', '-').replace('.', '-').replace('_', '-')}.html"

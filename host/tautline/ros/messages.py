@@ -15,7 +15,7 @@ _FARTHEST = 500.0  # limit: rad: the board's angles end at 32768 deg, which is 5
 
 
 def si_per_unit(rig: Rig) -> float:
-    """The factor from the motor's unit to ROS' SI unit: rad per deg, or m per mm."""
+    """The factor from the unit of q to ROS' SI unit: rad per deg, or m per mm."""
     return math.radians(1.0) if rig.actuator.unit == "deg" else 1e-3
 
 
@@ -25,22 +25,22 @@ def stamp(time_ns: int) -> Any:
 
 
 def joint_state(time_ns: int, positions: Mapping[str, float], frame: str = "") -> Any:
-    """A sensor_msgs/JointState at a ROS time. positions: by joint, rad or m; frame: its frame_id."""
+    """A sensor_msgs/JointState at a ROS time, ns. positions: by joint, rad or m; frame: its frame_id."""
     header = library("std_msgs.msg").Header(stamp=stamp(time_ns), frame_id=frame)
     return library("sensor_msgs.msg").JointState(header=header, name=list(positions), position=list(positions.values()))
 
 
 def point(time_ns: int, u_px: float, v_px: float, sigma_px: float) -> Any:
-    """The marker's place in the image as a geometry_msgs/PointStamped at a ROS time: x, y are u, v in px, z is their
-    sigma in px."""
+    """The marker's place in the image as a geometry_msgs/PointStamped at a ROS time, ns: x and y are u and v, px, and z
+    is their sigma, px."""
     header = library("std_msgs.msg").Header(stamp=stamp(time_ns), frame_id="image")
     geometry = library("geometry_msgs.msg")
     return geometry.PointStamped(header=header, point=geometry.Point(x=u_px, y=v_px, z=sigma_px))
 
 
 def position_of(message: Any, joint: str) -> float | None:
-    """The joint's position, rad, in a JointState; of a message without names its only position. None where it has none,
-    or none that is finite and below _FARTHEST in size."""
+    """The joint's position, rad, in a JointState, or the only position of a message without names. None where there is
+    none, or it is NaN or not below _FARTHEST in size."""
     names, positions = list(message.name), message.position
     if joint in names:
         index = names.index(joint)
@@ -52,8 +52,8 @@ def position_of(message: Any, joint: str) -> float | None:
 
 
 def diagnostics(time_ns: int, name: str, board: str, level: str, says: str, values: Mapping[str, Any]) -> Any:
-    """A diagnostic_msgs/DiagnosticArray with one status at a ROS time. name: of the status; board: its hardware id;
-    level: OK, WARN or ERROR; says: its message; values: by key, those that are None are left out."""
+    """A diagnostic_msgs/DiagnosticArray with one status at a ROS time, ns. name: of the status; board: its hardware id;
+    level: "OK", "WARN" or "ERROR"; says: its message; values: by key, those that are None are left out."""
     types = library("diagnostic_msgs.msg")
     rows = [types.KeyValue(key=key, value=_value_text(value)) for key, value in values.items() if value is not None]
     status = types.DiagnosticStatus(
@@ -63,7 +63,7 @@ def diagnostics(time_ns: int, name: str, board: str, level: str, says: str, valu
 
 
 def _value_text(value: Any) -> str:
-    """A value as diagnostics show it, a float with six digits."""
+    """A value as text for diagnostics; a float with six digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

@@ -65,8 +65,9 @@ class Node:
 
     def run(self, ended: Callable[[], bool], following: Following | None = None) -> dict[str, Any]:
         """Sends set-points and publishes, once a period, until `ended()` is true; then brings the motor to rest and
-        switches it off. following: what tracks the model by the camera, for diagnostics. Returns what `taut stream
-        --json` gives and the counts of set-points. TautError where the axis has a fault or the board is gone."""
+        switches it off. following: the tracker that runs beside, for diagnostics; None without a camera. Returns the
+        summary that `taut stream --json` gives, with the counts of set-points. TautError where the axis has a fault or
+        the board is gone."""
         parameters = self.parameters
         with SetPointStream(self._live.board, self._live.axis, parameters.timeout_s) as points:
             self._graph.begin()
@@ -96,7 +97,8 @@ class Node:
         return {"received": self.received, "unusable": self.unusable, "replaced": self.replaced}
 
     def _on_set_point(self, message: Any) -> None:
-        """Callback: keeps a JointState's position of the joint as the next set-point; counts it."""
+        """Callback of the subscription: keeps the joint's position in a JointState as the next set-point, in place of
+        one that has not been sent yet, and counts the message."""
         position = messages.position_of(message, self.parameters.joint)
         if position is None:
             self.unusable += 1
@@ -107,8 +109,9 @@ class Node:
             self._pending_rad = position
 
     def _ros_time_ns(self, t_us: float) -> int:
-        """ROS time, ns, of a board time, us: over this host's monotonic clock, with which the board's is aligned. The
-        ROS clock is read between two readings of that, of _CLOCK_READS the quickest."""
+        """Converts a board time, us, to ROS time, ns, by this host's monotonic clock, which the board's clock is
+        aligned with. The ROS clock is read between two readings of the monotonic one, _CLOCK_READS times; the quickest
+        of these counts."""
         clock = self._graph.node.get_clock()
         reads = [(time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()) for _ in range(_CLOCK_READS)]
         before, now, after = min(reads, key=lambda read: read[2] - read[0])
@@ -116,8 +119,8 @@ class Node:
         return int(now + 1000 * t_us - 1000 * self._live.board.clock.board_us(1e-9 * middle))
 
     def _publish(self) -> None:
-        """Publishes the telemetry that has come since the last call: of each period the first sample, with the time at
-        which the board took it."""
+        """Publishes the telemetry that has come since the last call: the first sample of each period, with the time at
+        which the board took it. Other axes' samples are dropped."""
         if not self._batches:
             return
         # One offset for all samples of this call, so that their times keep their distances.
@@ -134,8 +137,8 @@ class Node:
                     self._publish_state(time_ns, *(float(column[i]) for column in _columns(batch)))
 
     def _publish_state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
-        """Publishes one telemetry sample on the four topics of joint states. time_ns: ROS time; q, q_ref: the motor's
-        position and set-point, counts; c_deg, c_ref_deg: the tip's, deg."""
+        """Publishes one telemetry sample on the four topics of joint states, in SI units. time_ns: ROS time; q, q_ref:
+        the motor's position and set-point, counts; c_deg, c_ref_deg: the tip's, deg."""
         tip, motor = self.parameters.joint, self.parameters.command_joint
         si_per_count = messages.si_per_unit(self._live.rig) * self._live.resolution
         c, c_ref = math.radians(c_deg), math.radians(c_ref_deg)
@@ -148,8 +151,9 @@ class Node:
             self._joints[name].publish(messages.joint_state(time_ns, positions))
 
     def saw(self, frame: Frame) -> None:
-        """Publishes what a frame shows, if the marker was found: its place in the image and the tip's angle by it, with
-        the time of the scene. The camera's thread calls this; only one thread may."""
+        """Publishes what a frame shows, if the marker was found: its place in the image, and the tip's angle by its
+        pose, with the time of the scene. Only the camera's thread may call it: the search for the angle begins at the
+        last one."""
         seen = frame.sighting
         if not seen.valid:
             return
@@ -161,8 +165,8 @@ class Node:
         self._tracked.publish(messages.joint_state(time_ns, angle))
 
     def _diagnose(self, points: SetPointStream, following: Following | None) -> None:
-        """Publishes the state of board and calibration as diagnostics, if the last time is _DIAGNOSED_S ago. TautError
-        after that where the axis has a fault."""
+        """Publishes the state of board and calibration as diagnostics; does nothing within _DIAGNOSED_S of the last
+        time. If the axis has a fault it then raises a TautError."""
         now = time.monotonic()
         if now < self._diagnosed_s + _DIAGNOSED_S:
             return
@@ -211,6 +215,6 @@ class Node:
 
 
 def _columns(batch: wire.Message) -> tuple[Any, ...]:
-    """The columns of a batch of telemetry, each (samples,): the motor's position and set-point, counts, the tip's angle
-    and set-point, deg."""
+    """The columns of a batch of telemetry that are published, each (samples,): the motor's position and set-point,
+    counts, and the tip's angle and set-point, deg."""
     return batch.q, batch.q_ref, batch.c_est, batch.c_ref
