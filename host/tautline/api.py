@@ -214,7 +214,7 @@ def compensate(
     start_deg: float | None = None,
     progress: Progress = _silent,
 ) -> SetPoints:
-    """Computes motor set-points that lead the tip along a trajectory, by the board's own fixed-point code, run here.
+    """Computes motor set-points that lead the tip of `model` along a trajectory, by the board's own code, run here.
 
     Shapes: t_s and c_deg (n,), straight lines between them; the result's t_s, q, clipped (m,), m = duration x rate_hz.
     Units: t_s in s, rising; c_deg and start_deg in deg; q in the rig's unit; rate_hz 16 to 100 000.

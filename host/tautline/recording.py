@@ -81,7 +81,7 @@ class Motor(Value):
         columns."""
 
         def at(values: Array | None) -> Array | None:
-            """A column of the motor's samples, interpolated at t_s; None where there is none."""
+            """A column (n,) of the motor's samples, interpolated at t_s; None where there is none."""
             return None if values is None else np.interp(t_s, self.t_s, values)
 
         return Motor(

@@ -47,7 +47,7 @@ def test_what_onsets_at_one_place_share_is_counted_once() -> None:
 def test_where_the_joint_fit_predicts_well_onsets_do_not_count(own: float, other: float, counts: bool) -> None:
     joint, both = np.ones_like(GRID), 2.0 * np.ones_like(GRID)
     left = SimpleNamespace(residual_with_width=lambda _, width: own if width is joint else other)
-    assert Choice._tolerates(cast(Choice, left), cast(Fitted, None), joint, both) is counts
+    assert Choice._mean_is_bearable(cast(Choice, left), cast(Fitted, None), joint, both) is counts
 
 
 @pytest.mark.parametrize("leads", ["phase.even", "creep.2"])

@@ -596,16 +596,6 @@ def test_an_unknown_cause_that_came_later_was_not_there_from_the_start():
     assert said.name == "unknown" and said.early < 0.01
 
 
-@pytest.mark.parametrize(
-    ("times", "verdict"), ((0.2, "none"), (1.0, "none"), (2.0, "none"), (4.0, "unknown"), (20.0, "unknown"))
-)
-def test_noise_that_is_many_times_the_calibrations_has_an_unknown_cause(times, verdict):
-    """Of a gap that is no more than the tests' noise; less noise than while calibrating is no cause for anything."""
-    said = decide(replace(evidence({(LAG,): 1.0, (CREEP,): 1.0}, before=0.03), noisier=float(np.log(times))))
-    assert said.name == verdict and said.none + said.unknown > 0.9
-    assert verdict == "none" or said.noise > 0.9
-
-
 def test_parameters_count_no_more_than_the_blocks_that_they_change():
     """A shift near the end of one test: seven numbers that three blocks tell."""
     blocks = np.where(np.arange(BLOCKS) < BLOCKS - 3, 0.0, 1.0)

@@ -105,6 +105,7 @@ def test_another_light_is_no_cause_and_hides_none(calibration_px, tests_px, para
     found = diagnose(true_model(), first, later[:1]).document
     assert [effect["id"] for effect in found["effects"]] == (["transmission.lag"] if parameters else []), found
     assert found["verdict"] == ("effect" if parameters else "none")
+    assert parameters or ("times that of the calibration" in narration.sentence(found)) == (tests_px > 0.1)
 
 
 def shifted(recording: Recording, later_s: float) -> Recording:

@@ -895,20 +895,20 @@ def test_a_joints_kind_and_limits_are_its_descriptions(
 
 @NO_ROS
 def test_a_limit_that_is_no_number_is_one_line() -> None:
-    from tautline.drivers.ros_joints import _drive
+    from tautline.drivers.ros_joints import _drive_of_joint
 
     with pytest.raises(TautError, match=r"joint elbow: its description's limit upper is '\$\{pi\}', expected a number"):
-        _drive("elbow", {"type": "revolute", "lower": "0", "upper": "${pi}"})
+        _drive_of_joint("elbow", {"type": "revolute", "lower": "0", "upper": "${pi}"})
     for none in ("nan", "-inf"):
         with pytest.raises(TautError, match=f"limit lower is '{none}', expected a number"):
-            _drive("elbow", {"type": "revolute", "lower": none, "upper": "1"})
+            _drive_of_joint("elbow", {"type": "revolute", "lower": none, "upper": "1"})
 
 
 @NO_ROS
 def test_a_limit_farther_than_can_be_counted_is_as_far_as_can() -> None:
-    from tautline.drivers.ros_joints import _drive
+    from tautline.drivers.ros_joints import _drive_of_joint
 
-    limits = _drive("elbow", {"type": "revolute", "lower": "-1e16", "upper": "1"}).limits
+    limits = _drive_of_joint("elbow", {"type": "revolute", "lower": "-1e16", "upper": "1"}).limits
     assert limits.q_low == -3.9e6 and limits.q_high == pytest.approx(4096 / 6.2832, rel=1e-4)
 
 

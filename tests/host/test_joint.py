@@ -368,7 +368,7 @@ def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer, monkey
     count = int(segment.scored.sum())
     slopes, noise = rng.normal(size=(count, 3)), 0.5
     y = slopes @ np.array([1.0, 0.0, -0.5]) + noise * rng.normal(size=count)
-    joint.within, joint.residuals = lambda u: u, lambda u: [(y - slopes @ u)[:, None]]
+    joint.within_ranges, joint.residuals = lambda u: u, lambda u: [(y - slopes @ u)[:, None]]
     left = held_out_residuals(joint, linear(slopes, y, noise))[0][:, 0]
     label = gap.blocks(segment)
     assert label.max() > 0
@@ -384,7 +384,7 @@ def test_where_a_linear_step_fails_the_rest_is_fitted_without_the_block(answer):
     x = np.linspace(1.0, 2.0, 40)[:, None]
     rest = (np.arange(40) < 30).astype(float)
     y = np.where(rest[:, None] > 0.0, np.exp(x), 1.0)
-    joint.within = lambda u: u
+    joint.within_ranges = lambda u: u
     joint.residuals = lambda u: [y - np.exp(2.0 * x * u[0])]
     joint.slopes = lambda u, residuals: [(2.0 * x * np.exp(2.0 * x * u[0]))[:, :, None]]
     here = np.zeros(1)
@@ -401,7 +401,7 @@ def test_a_fit_without_a_block_stays_within_the_unknowns_ranges(answer):
     x = np.linspace(1.0, 2.0, 40)[:, None]
     rest = (np.arange(40) < 30).astype(float)
     y = np.where(rest[:, None] > 0.0, -x, x)
-    joint.within = lambda u: np.maximum(u, 0.0)
+    joint.within_ranges = lambda u: np.maximum(u, 0.0)
     joint.residuals = lambda u: [y - x * u[0]]
     here = np.full(1, 0.1)
     posterior = Posterior(("u:0",), here, np.eye(1))

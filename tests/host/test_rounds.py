@@ -347,7 +347,7 @@ def test_one_does_not_give_up_before_a_slower_pass(helps: bool, at_most_s: float
     def run(wanted: Round | Strokes, enough: Callable[[Frame], bool]) -> None:
         """To its end."""
 
-    motions = SimpleNamespace(made=made, run=run, stroke=run, still=lambda: None)
+    motions = SimpleNamespace(made=made, run=run, stroke=run, record_rest=lambda: None)
     watch = SimpleNamespace(view=view, settle=settle, camera_view=lambda: CLEAR)
     rounds, why = _make_rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, at_most_s, lambda: False)
     assert len(rounds) == count and isinstance(rounds[1], Strokes)
@@ -373,7 +373,7 @@ def test_a_round_that_a_rest_broke_off_is_made_again_though_the_rest_is_over_bef
         view.standing = Standing.of(found(np.asarray(1e-3)), -5.0, 5.0, UNTIL)
 
     made = SimpleNamespace(reversals=0, folder=Path("rec"))
-    motions = SimpleNamespace(made=made, run=run, stroke=run, still=lambda: None)
+    motions = SimpleNamespace(made=made, run=run, stroke=run, record_rest=lambda: None)
     watch = SimpleNamespace(
         view=view, frame=lambda frame, reversals: False, settle=settle, camera_view=lambda: CLEAR,
         rest=lambda resting: rests.append(resting()),

@@ -169,10 +169,10 @@ class MixedModel:
     # ---- selection of further components
 
     def join(self) -> bool:
-        """Makes up to _JOIN_AT_ONCE candidates components and solves with them. A candidate needs a REML gain of
-        REML_GAIN plus its price, times the frames per independent one; each time the one joins that exceeds this most,
-        until none reaches it. A one-way component whose value comes out negative is refused for good. Returns whether
-        any candidate was tried."""
+        """Makes up to _JOIN_AT_ONCE candidates components and solves with them. Each is the one whose REML gain less
+        its price is largest; it joins if its gain is at least REML_GAIN plus its price, times the frames per
+        independent one. A one-way component whose value comes out negative is refused for good. Returns whether any
+        candidate was tried."""
         joined = False
         for _ in range(_JOIN_AT_ONCE):
             taken = set(self.selected.active) | self.selected.refused
@@ -180,9 +180,8 @@ class MixedModel:
             gains = {part.name: self._reml_gain(part) for part in open_parts}
             if not gains:
                 break
-            needed = {name: (REML_GAIN + self.candidates[name].price) * self.frames_per_independent() for name in gains}
-            name = max(gains, key=lambda each: gains[each][0] - needed[each])
-            if gains[name][0] < needed[name]:
+            name = max(gains, key=lambda each: gains[each][0] - self.candidates[each].price)
+            if gains[name][0] < (REML_GAIN + self.candidates[name].price) * self.frames_per_independent():
                 break
             self.selected.active.append(name)
             self.selected.penalties[name] = gains[name][1]

@@ -41,7 +41,6 @@ class Decision:
     alternatives: tuple[str, ...] = ()  # to the last named effect: one of these or it is there
     count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one counts as one
     early: float = 0.0  # share of `unknown`: that the cause was there while calibrating, and nothing changed since
-    noise: float = 0.0  # share of `unknown`: that the tests' noise is another one, and nothing else changed
 
     @property
     def name(self) -> str:
@@ -74,7 +73,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
     learned = learned or learnt()
     case = Stacked(evidence)
     likelihoods = Likelihoods(case, learned.center)
-    p, early, noise = _posterior(likelihoods)
+    p, early = _posterior(likelihoods)
     best = likelihoods.best
 
     leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
@@ -98,7 +97,6 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
         alternatives=tuple(alternatives) if named and named[-1] not in parts else (),
         count=_count_probabilities(case, p),
         early=early,
-        noise=noise,
     )
 
 
@@ -157,10 +155,10 @@ def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[f
     return float(p[0]), float(p[-1]), sum(leads)
 
 
-def _posterior(likelihoods: Likelihoods) -> tuple[Array, float, float]:
+def _posterior(likelihoods: Likelihoods) -> tuple[Array, float]:
     """((hypotheses + 1,) posterior probability of each hypothesis, likelihood times prior over their sum, and last that
-    of an unknown cause; shares of the latter: of what the calibration leaves of itself, and of another noise, where
-    nothing else changed). Among hypotheses with the same effects only the best has any."""
+    of an unknown cause: of scatter, of a path, or of what the calibration leaves of itself; the share of the latter).
+    Among hypotheses with the same effects only the best has any."""
     best = list(likelihoods.best.values())
     log = np.full(len(likelihoods.log_likelihood) + 1, -np.inf)
     log[best] = likelihoods.log_likelihood[best] + likelihoods.prior[best]
@@ -169,11 +167,8 @@ def _posterior(likelihoods: Likelihoods) -> tuple[Array, float, float]:
     log[-1] = log_sum(np.append(unknown_scatter, unknown_path))
     p = np.exp(log - log_sum(log))
     from_start = likelihoods.unknown_from_start * float(p[0])
-    of_noise = likelihoods.unknown_noise * (float(p[0]) - from_start)
-    p[0] -= from_start + of_noise
-    p[-1] += from_start + of_noise
-    unknown = max(float(p[-1]), 1e-300)
-    return p, from_start / unknown, of_noise / unknown
+    p[0], p[-1] = p[0] - from_start, p[-1] + from_start
+    return p, from_start / max(float(p[-1]), 1e-300)
 
 
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: Learnt | None = None) -> Decision:

@@ -140,8 +140,7 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "probability_none": found.verdict.none,
         "probability_unknown": found.verdict.unknown,
         "unknown_from_start": found.verdict.early,  # share of it
-        "unknown_noise": found.verdict.noise,  # share of it
-        "noisier": float(np.exp(found.gathered.evidence.noisier)),  # times the calibration's noise
+        "noisier": float(np.exp(found.fitter.noisier)),  # times the calibration's noise
         "count": list(found.verdict.count),
         "where": {
             "stage": _likeliest_stage(found.verdict),

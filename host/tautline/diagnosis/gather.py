@@ -280,7 +280,6 @@ class _Hypotheses:
             hypotheses=tuple(replace(h, chance=self._chance_of_other(i)) for i, h in enumerate(self._weighed)),
             applicable=len(self.search.kinds),
             calibrated=self._calibrated,
-            noisier=fitter.noisier,
             doubt=fitter.doubt,
             unsteady=fitter.unsteady,
         )

@@ -89,7 +89,6 @@ class CaseEvidence:
     hypotheses: tuple[Weighed, ...]  # the first without any effect
     applicable: int  # how many effects of the library these recordings could show
     calibrated: float = 0.0  # power that the calibrated model leaves of its own calibration
-    noisier: float = 0.0  # logarithm of the tests' noise over the calibration's
     doubt: float = 0.0  # standard deviation of log(floor^2), where videos showed one
     unsteady: float = 0.0  # standard deviation between blocks of the logarithm of the noise's power
 

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 from scipy.special import log_ndtr
-from scipy.stats import norm
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
 from tautline.diagnosis.stacked import LAWS, SHARES, WANDERS, Stacked, log_sum
@@ -25,7 +24,6 @@ Array = npt.NDArray[np.float64]
 COINCIDES = 0.1  # prior: probability that an unknown effect goes with a column that was measured beside the motion
 OWN_MISFIT = 0.3  # prior: mean power, times the floor's, that a nominal model leaves above it of its own calibration
 EARLY = 0.5  # prior: probability that an unknown cause was there while calibrating, if it is one
-NOISE_CHANGES = 0.3  # prior: standard deviation of the logarithm of a sensor's noise between recordings
 _LARGEST = float(np.exp(12.0))  # prior: largest power, times the floor's, of what an unknown cause leaves
 _QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior of mean 1
 _ALIKE = (0.01, 1.0)  # tolerance: limits of the share of a misfit by which a further effect looks like it
@@ -193,16 +191,6 @@ class Likelihoods:
         of_cause = self.hyper.odds_unknown * EARLY / ((OWN_MISFIT + x) * np.log1p(_LARGEST / OWN_MISFIT))
         of_nominal = self.hyper.odds_none * np.exp(-x / OWN_MISFIT) / OWN_MISFIT
         return float(of_cause / (of_cause + of_nominal))
-
-    @property
-    def unknown_noise(self) -> float:
-        """If nothing changed since the calibration, the probability that the tests' noise is another one for an unknown
-        reason, a camera that shakes or a dark picture: the density of its logarithm, of the tests' over the
-        calibration's, any magnitude up to _LARGEST alike, against a normal one of standard deviation NOISE_CHANGES."""
-        more = max(self._case.noisier, 0.0)
-        of_cause = self.hyper.odds_unknown / np.log(_LARGEST)
-        of_sensor = self.hyper.odds_none * norm.pdf(more, scale=NOISE_CHANGES)
-        return float(of_cause / (of_cause + of_sensor))
 
     @property
     def _log_chance_of_misfit(self) -> Array:

@@ -13,6 +13,7 @@ from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 from tautline.undone import COUPLED
 
+_NOISIER = 2.0  # format: times the calibration's noise from which on this is said of the tests
 _SOUND = 1.3  # format: times the noise: a calibration that leaves more of itself says so
 _SMALL = 3.0  # format: times the noise: a smaller gap is called small
 _REMAINS = {  # why no table of the board undoes an effect
@@ -65,9 +66,15 @@ def sentence(document: Mapping[str, Any]) -> str:
         )
         return (
             f"No gap beyond {beyond}: the calibrated model predicts motions that it never saw to "
-            f"{_size_before(document)}, and the noise alone is {digits(document['noise_floor'])}."
+            f"{_size_before(document)}, and the noise alone is {digits(document['noise_floor'])}{_noisier(document)}."
         )
     return _unknown_sentence(document) if document["verdict"] == "unknown" else _effect_sentences(document)
+
+
+def _noisier(document: Mapping[str, Any]) -> str:
+    """By how many times the tests are noisier than the calibration, to follow the noise; "" below _NOISIER."""
+    times = document.get("noisier", 1.0)
+    return f", {times:.2g} times that of the calibration" if times >= _NOISIER else ""
 
 
 def _size_before(document: Mapping[str, Any]) -> str:
@@ -88,11 +95,6 @@ def _unknown_sentence(document: Mapping[str, Any]) -> str:
         return (
             f"Nothing has changed since the calibration, but a gap of {before}, {times}, was there already: the "
             f"calibration leaves as much of its own recording, and no known effect explains it{_pattern(document)}."
-        )
-    if document.get("unknown_noise", 0.0) > _EARLY:
-        return (
-            f"Nothing beyond noise is left, {before}, but the noise is {document['noisier']:.2g} times that of the "
-            "calibration, for an unknown reason."
         )
     small = _is_small(document)
     what = "Nothing large is left: a small gap" if small else "A gap"
@@ -288,8 +290,6 @@ def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
         return []
     if _was_early(document):
         return [NextStep("See what the calibration's own verdict says, and calibrate again once that is mended.")]
-    if document.get("unknown_noise", 0.0) > _EARLY:
-        return [NextStep("Look for what shakes the camera or the tip, and at the light and the focus.")]
     where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:_PLACES]])
     return [NextStep(f"Look at the instrument where the gap is largest: {where}.")]
 

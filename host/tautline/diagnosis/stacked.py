@@ -109,7 +109,7 @@ class Stacked:
         """Computes all arrays from the evidence of a case. Powers below the noise's, floor^2, count as that."""
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
-        self._doubt, self._unsteady, self.noisier = evidence.doubt, evidence.unsteady, evidence.noisier
+        self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
         # A block with less power than the noise has had less noise, whatever the hypothesis.
         self.frozen = np.maximum(evidence.frozen, self.floor2)  # (blocks,) left by the calibrated model as it is
         self.applicable = evidence.applicable

@@ -46,8 +46,8 @@ class Tracker:
         rotation_deg: npt.ArrayLike | None = None,
         load_mNm: npt.ArrayLike | None = None,
     ) -> None:
-        """Takes samples of the motor, n or one of them, in order of time: t_s, s; q in the rig's unit; translation and
-        rotation, at rest (0) where they are None; load_mNm is not used. They are kept until a frame asks for them
+        """Takes samples of the motor, (n,) or one of them, in order of time: t_s, s; q in the rig's unit; translation
+        and rotation, at rest (0) where they are None; load_mNm is not used. They are kept until a frame asks for them
         (`see`). TautError for columns of different lengths, times that do not rise, or values that are not finite."""
         times = np.atleast_1d(np.asarray(t_s, dtype=float))
         columns = [times, np.atleast_1d(np.asarray(q, dtype=float))]
