@@ -302,6 +302,11 @@ def check_distinct(recordings: Sequence[Recording]) -> None:
             raise TautError(f"{other.name}: is the same recording as {one.name}: name it once")
 
 
+def of_another_rig(recordings: Sequence[Recording], rig: Rig) -> Recording | None:
+    """The first recording whose own rig.toml is not `rig`; None if there is none."""
+    return next((each for each in recordings if each.rig is not None and each.rig != rig), None)
+
+
 def save(recording: Recording, folder: str | Path) -> None:
     """Writes the recording's folder, whole or not at all. It replaces a recording that was there, with all of FILES;
     other files in the folder stay. TautError where it has no rig, its video is of another type than VIDEO_NAMES, or the

@@ -588,12 +588,12 @@ def test_what_a_calibration_leaves_beyond_any_nominal_model_has_an_unknown_cause
     gap = evidence({(LAG,): 0.9, (CREEP,): 0.95}, before=times**2 - 1.0)
     said = decide(replace(gap, calibrated=times**2 * FLOOR**2))
     assert said.name == verdict and said.none + said.unknown > 0.9
-    assert verdict == "none" or said.early > 0.7  # of what is unknown
+    assert verdict == "none" or said.unknown_from_start > 0.7  # of what is unknown
 
 
 def test_an_unknown_cause_that_came_later_was_not_there_from_the_start():
     said = decide(replace(evidence({(LAG,): 0.5, (CREEP,): 0.6}), calibrated=1.1 * FLOOR**2))
-    assert said.name == "unknown" and said.early < 0.01
+    assert said.name == "unknown" and said.unknown_from_start < 0.01
 
 
 def test_parameters_count_no_more_than_the_blocks_that_they_change():

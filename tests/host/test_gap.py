@@ -131,22 +131,3 @@ def test_recordings_have_a_noise_each_where_that_is_likelier():
     tests_rms = np.sqrt(np.mean(np.square([0.05, 0.1])))
     assert of_each == pytest.approx([0.2 / tests_rms, 0.05 / tests_rms, 0.1 / tests_rms], rel=0.05)
     assert gap.relative_noise(segments, None) == [1.0, 1.0, 1.0]
-
-
-@pytest.mark.parametrize(("calibration", "tests"), ((0.05, 0.05), (0.02, 0.4), (0.3, 0.1)))
-def test_by_how_much_noisier_the_tests_are_is_seen_at_rest(calibration, tests):
-    segments = [
-        replace(still(size * remembering(0.4, seed)), calibration=seed == 1)
-        for seed, size in enumerate((calibration, tests, tests), start=1)
-    ]
-    assert gap.noise_change(segments, None) == pytest.approx(np.log(tests / calibration), abs=0.08)
-
-
-def test_noise_at_rest_and_noise_in_motion_are_not_compared():
-    rng = np.random.default_rng(8)
-    at_rest = replace(still(0.02 * rng.normal(size=(4000, 2))), calibration=True)
-    t = np.arange(4000) / 60.0
-    left = 0.3 * rng.normal(size=(4000, 2))
-    in_motion = Segment("s", Motor(t, 3.0 * np.sin(0.7 * t), None), t, left, t >= 0.0, 0.0, False)
-    assert gap.noise_change([at_rest, in_motion], [left[:, 1:], left[:, 1:]]) == 0.0
-    assert gap.noise_change([at_rest, in_motion], None) == 0.0

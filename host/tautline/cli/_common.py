@@ -21,7 +21,7 @@ from tautline.errors import TautError, UnusableError
 from tautline.model import Model
 from tautline.plain import plain
 from tautline.quality import Quality, Verdict
-from tautline.recording import Recording, check_distinct, load_all
+from tautline.recording import Recording, check_distinct, load_all, of_another_rig
 from tautline.rig import Rig
 
 Progress = Callable[[float, str], None]
@@ -164,11 +164,10 @@ def read_recordings(
     else:
         rig = _first_rig(paths)
         recordings = load_all(paths, rig)
-        for recording in recordings:
-            if recording.rig is not None and recording.rig != rig:
-                raise TautError(
-                    f"{recording.name}: its rig.toml differs from the one used for the others: say which with --rig"
-                )
+        if other := of_another_rig(recordings, rig):
+            raise TautError(
+                f"{other.name}: its rig.toml differs from the one used for the others: say which with --rig"
+            )
     if not repeated:
         check_distinct(recordings)
     for recording in recordings:

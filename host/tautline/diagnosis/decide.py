@@ -40,7 +40,7 @@ class Decision:
     brought: tuple[str, ...] = ()  # parts of the nominal model that a named effect changed too: no causes of their own
     alternatives: tuple[str, ...] = ()  # to the last named effect: one of these or it is there
     count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one counts as one
-    early: float = 0.0  # share of `unknown`: that the cause was there while calibrating, and nothing changed since
+    unknown_from_start: float = 0.0  # share of `unknown`: it was there while calibrating, nothing changed since
 
     @property
     def name(self) -> str:
@@ -73,7 +73,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
     learned = learned or learnt()
     case = Stacked(evidence)
     likelihoods = Likelihoods(case, learned.center)
-    p, early = _posterior(likelihoods)
+    p, unknown_from_start = _posterior(likelihoods)
     best = likelihoods.best
 
     leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
@@ -96,7 +96,7 @@ def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
         brought=tuple(name for name in named if name in parts),
         alternatives=tuple(alternatives) if named and named[-1] not in parts else (),
         count=_count_probabilities(case, p),
-        early=early,
+        unknown_from_start=unknown_from_start,
     )
 
 

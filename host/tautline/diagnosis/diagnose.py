@@ -173,8 +173,6 @@ def _prepare(
     fitter, frozen = _fitter_and_residuals(model, tracked.segments if tracked else segments, load_mNm, simulated)
     base = _recalibrate(fitter, frozen, tracked)
     fitter.floor = _noise_floor(fitter, frozen[0], base, tracked.noise if tracked else 0.0)
-    if simulated is None:
-        fitter.noisier = gap.noise_change(fitter.segments, fitter.across(base))
     kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
     hidden = confounded.drift_hidden_by_load(kinds, fitter.segments)
     return _Prepared(model, fitter, tracked, frozen, base, [kind for kind in kinds if kind.id not in hidden], hidden)

@@ -139,8 +139,8 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "candidates": _candidate_entries(found),
         "probability_none": found.verdict.none,
         "probability_unknown": found.verdict.unknown,
-        "unknown_from_start": found.verdict.early,  # share of it
-        "noisier": float(np.exp(found.fitter.noisier)),  # times the calibration's noise
+        "unknown_from_start": found.verdict.unknown_from_start,  # share of it
+        "noisier": 1.0 / found.fitter.relative_noise[0],  # the tests' noise, times the calibration's
         "count": list(found.verdict.count),
         "where": {
             "stage": _likeliest_stage(found.verdict),

@@ -159,7 +159,6 @@ class Fitter:
         self._linearised: tuple[Fit, list[ScoredRows]] | None = None
         self.floor = 1.0
         self.relative_noise = [1.0] * len(segments)  # of each recording, times `floor`: its own noise
-        self.noisier = 0.0  # logarithm of the tests' noise over the calibration's (`gap.noise_change`)
         self.doubt = 0.0  # standard deviation of log(floor^2), where videos showed one
         self.unsteady = 0.0  # standard deviation between blocks of the logarithm of the noise's power
         # What begins outside of the angles that were reached would be another gain and offset.

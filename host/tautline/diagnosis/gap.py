@@ -92,23 +92,6 @@ def relative_noise(segments: Sequence[Segment], across: Sequence[Array] | None) 
     return [float(times) for times in np.sqrt(power / of_tests)]
 
 
-def noise_change(segments: Sequence[Segment], across: Sequence[Array] | None) -> float:
-    """Natural logarithm of the sensor's noise in the tests over that in the calibration, each one standard deviation by
-    `_noise_series` and never below `least_noise`. 0 where too little of either is seen, or one is seen at rest and the
-    other only in motion. across: as in `noise_floor`."""
-    least = least_noise(segments)
-    noise, orders = [], []
-    for calibration in (True, False):
-        these = [i for i, segment in enumerate(segments) if segment.calibration == calibration]
-        of_these = [across[i] for i in these] if across else None
-        series, order = _noise_series([segments[i] for i in these], of_these, None)
-        if not series:
-            return 0.0
-        noise.append(max(remembered(series, order)[1], least))
-        orders.append(order)
-    return float(np.log(noise[1] / noise[0])) if orders[0] == orders[1] else 0.0
-
-
 def noise_samples_per_independent(
     segments: Sequence[Segment],
     limit: float,

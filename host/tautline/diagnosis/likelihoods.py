@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.special import log_ndtr
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
-from tautline.diagnosis.stacked import LAWS, SHARES, WANDERS, Stacked, log_sum
+from tautline.diagnosis.stacked import LAWS, SHARES, WANDERS, WIDEST, Stacked, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +24,6 @@ Array = npt.NDArray[np.float64]
 COINCIDES = 0.1  # prior: probability that an unknown effect goes with a column that was measured beside the motion
 OWN_MISFIT = 0.3  # prior: mean power, times the floor's, that a nominal model leaves above it of its own calibration
 EARLY = 0.5  # prior: probability that an unknown cause was there while calibrating, if it is one
-_LARGEST = float(np.exp(12.0))  # prior: largest power, times the floor's, of what an unknown cause leaves
 _QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior of mean 1
 _ALIKE = (0.01, 1.0)  # tolerance: limits of the share of a misfit by which a further effect looks like it
 
@@ -185,10 +184,10 @@ class Likelihoods:
     @property
     def unknown_from_start(self) -> float:
         """Probability that the calibrated model has an unknown cause in its own calibration, if nothing changed since.
-        It compares two densities of x = power / floor^2 - 1 that is left there: 1 / (OWN_MISFIT + x) up to _LARGEST for
-        a cause, and an exponential one of mean OWN_MISFIT for a nominal model."""
+        It compares two densities of x = power / floor^2 - 1 that is left there: 1 / (OWN_MISFIT + x) up to exp(WIDEST)
+        for a cause, and an exponential one of mean OWN_MISFIT for a nominal model."""
         x = max(self._case.calibrated - 1.0, 0.0)
-        of_cause = self.hyper.odds_unknown * EARLY / ((OWN_MISFIT + x) * np.log1p(_LARGEST / OWN_MISFIT))
+        of_cause = self.hyper.odds_unknown * EARLY / ((OWN_MISFIT + x) * np.log1p(np.exp(WIDEST) / OWN_MISFIT))
         of_nominal = self.hyper.odds_none * np.exp(-x / OWN_MISFIT) / OWN_MISFIT
         return float(of_cause / (of_cause + of_nominal))
 

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis import simulator_words
 from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 from tautline.undone import COUPLED
 
 _NOISIER = 2.0  # format: times the calibration's noise from which on this is said of the tests
-_SOUND = 1.3  # format: times the noise: a calibration that leaves more of itself says so
 _SMALL = 3.0  # format: times the noise: a smaller gap is called small
 _REMAINS = {  # why no table of the board undoes an effect
     "transmission.rest_dependent_backlash": "it goes with the rest before, which no section of a table holds",
@@ -452,8 +452,8 @@ def _swing_period(document: Mapping[str, Any]) -> float | None:
 
 
 def _calibration_leaves_much(document: Mapping[str, Any]) -> bool:
-    """Whether the calibrated model leaves more than _SOUND times the noise on its own calibration."""
-    return bool(document.get("calibration_leaves", 0.0) > _SOUND * document["noise_floor"])
+    """Whether the calibrated model leaves more than PREDICTS times the noise on its own calibration."""
+    return bool(document.get("calibration_leaves", 0.0) > PREDICTS * document["noise_floor"])
 
 
 def _was_early(document: Mapping[str, Any]) -> bool:

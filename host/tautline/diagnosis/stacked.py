@@ -32,9 +32,9 @@ SHARES = np.geomspace(1e-5, 1.0, 41)  # prior: grid of shares of a gap's power t
 WANDERS = np.geomspace(3e-3, 3.0, 31)  # prior: grid of shares by which an amplitude may vary
 _DEGREES = 8.0  # prior: degrees of freedom of Student's t, of the logarithm of a block's noise power
 _WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # prior: grid of the share of blocks that hold what has another cause
-_WIDEST = 12.0  # prior: largest logarithm of what a wrong effect leaves of a block, over the noise
+WIDEST = 12.0  # prior: largest logarithm of what a wrong effect leaves of a block, over the noise
 _FLOOR_ERRORS = np.linspace(-20.0, 3.0, 116)  # tolerance: grid of the error of log(floor^2), in its deviations
-_GAPS = np.linspace(0.0, _WIDEST, 25)  # tolerance: grid of the logarithm of a misfit's power over a number's noise
+_GAPS = np.linspace(0.0, WIDEST, 25)  # tolerance: grid of the logarithm of a misfit's power over a number's noise
 _TIMES = np.exp(np.linspace(-3.0, 12.0, 26))  # tolerance: grid of a block's misfit's power over the mean one
 _AT_ONCE = 8  # tolerance: blocks whose product stays within a double
 _REMEMBERED = 4  # tolerance: sets of hyperparameters of which results are kept
@@ -327,7 +327,7 @@ class Stacked:
 
     def log_likelihood_of_any_gap(self, tells: float, freedom: float, excess: float) -> float:
         """Log-likelihood of the gap itself if no effect imitates its cause. An unknown share of the blocks holds a
-        misfit of unknown mean power, up to _WIDEST in its log over the noise; it is the mean over a grid of both. The
+        misfit of unknown mean power, up to WIDEST in its log over the noise; it is the mean over a grid of both. The
         constant is that of `log_likelihood`."""
         misfits = self.floor2 / tells * np.exp(_GAPS)[:, None]
         by_share = [
@@ -353,7 +353,7 @@ class Stacked:
         """(shares, rows) Log-likelihood of the powers beyond the effects' stages if each block is, with the probability
         s of `shares`, noise with a disturbance on top of it, and else noise: the product over blocks of (1 - s) noise +
         s disturbed, integrated over the error of the floor. The log x of a disturbed block's power over the noise has a
-        density proportional to 1 / (x + its spread) from 0 to _WIDEST. Further parameters as of
+        density proportional to 1 / (x + its spread) from 0 to WIDEST. Further parameters as of
         `_confined_log_ratio`."""
         x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]  # (rows, 1, blocks)
         spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2 + self._unsteady**2)[:, None]
@@ -366,7 +366,7 @@ class Stacked:
         noise = _student_log_density(above_noise / spread) - np.log(spread)
         # What disturbs a block comes on top of its noise, which has to be low where the block is.
         noise_is_lower = np.log(stdtr(_DEGREES, above_noise / spread))
-        disturbed = noise_is_lower - np.log((np.maximum(above_noise, 0.0) + spread) * np.log1p(_WIDEST / spread))
+        disturbed = noise_is_lower - np.log((np.maximum(above_noise, 0.0) + spread) * np.log1p(WIDEST / spread))
         # (1 - s) noise + s disturbed = noise (1 + s relative). Products of a few blocks save logarithms.
         relative = np.exp(disturbed - noise) - 1.0
         share = shares[:, None, None]

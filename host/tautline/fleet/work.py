@@ -15,7 +15,7 @@ from tautline.errors import TautError
 from tautline.fleet.rows import Row
 from tautline.folders import unpacked_folder
 from tautline.prediction import width_by_delay
-from tautline.recording import check_distinct, load_all
+from tautline.recording import check_distinct, load_all, of_another_rig
 from tautline.rig import RIG_FILE, Rig
 from tautline.vision.marker import with_marker
 
@@ -45,8 +45,8 @@ def _calibrate_files(row: Row, folder: Path) -> Row:
         own = folder / RIG_FILE
         rig = Rig.load(own if own.is_file() else paths[0] / RIG_FILE)
         given = load_all(paths, rig)
-        if other := next((each.name for each in given if each.rig is not None and each.rig != rig), None):
-            raise TautError(f"{other}: its {RIG_FILE} differs from the session's: make it another session")
+        if other := of_another_rig(given, rig):
+            raise TautError(f"{other.name}: its {RIG_FILE} differs from the session's: make it another session")
         check_distinct(given)
         recordings = [with_marker(recording, rig) for recording in given]
         motion_s = sum(float(np.ptp(recording.motor.t_s)) for recording in recordings)
