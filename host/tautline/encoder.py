@@ -36,7 +36,7 @@ _SCATTERS = 1.0  # tolerance: counts of noise from which readings are smoothed
 _EXACT = 1e-12  # tolerance: of the largest value: next to nothing
 _OF_NOISE = 4.0  # prior: standard deviations, of a third difference: more is a turn's
 _WAVES = 512  # tolerance: frequencies at which a smoother's trace is summed
-_STIFF = np.logspace(0, 12, 13)  # tolerance: strengths of a smoother that are tried: from none to a parabola
+_STIFF = np.logspace(0, 12, 13)  # tolerance: strengths of a smoother that are tried: from a few readings to a parabola
 _SMOOTHED = 12  # tolerance: readings that are smoothed, at least
 _FEWEST, _CLEARLY = 100, 5.0  # tolerance: readings that tell whether a motor trembles; standard errors
 _UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
@@ -49,10 +49,11 @@ _AGREES, _STRAYS = 2.5, 5.0  # tolerance: counts, and sigmas of their noise, tha
 
 def between_counts(motor: Motor, resolution: float) -> Motor:
     """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
-    changes, and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
-    resolution are left as they are. Readings that scatter by more than a count, or that pass a coarse count at nearly
-    each reading, are smoothed: a play would follow their extremes. A motor with a posterior (`posterior_of`) is on its
-    path, with the path's knots beside its samples."""
+    changes, and is at a count's centre in between; a rest stays at the centre. resolution: the rig's step of the
+    encoder, unit of q. Readings without steps of that size, or coarser ones (`steps_of`), stay as they are. Smoothed
+    instead, as a play would follow their extremes, are readings that scatter by more than a count while the motor does
+    not oscillate, and those that pass a coarse count nearly each time. A motor whose path was estimated from all of its
+    readings (`posterior_of`) is on that path, with the path's knots beside its samples."""
     path = posterior_of(motor, resolution)
     return (
         _between_and_steps(motor, resolution)[0]

@@ -104,10 +104,11 @@ class AlignedTracks:
 
 
 def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool = False) -> list[Recording]:
-    """Recordings with the offsets of their sensors' clocks taken off. A lag that is no larger than a delay may be is
-    not taken off: an effect that is not known yet may make one motion's stops later than another's. one_clock: the
-    session's calibration had sensor and motor on one clock; then a lag of up to _NEAR_S is sooner an effect's than
-    another clock's, and is not taken off either."""
+    """Recordings with the offsets of their sensors' clocks taken off; none is where the tip of one of them follows a
+    step of the motor, as that tells a play and no clock. A lag that is no larger than a delay may be is not taken off:
+    an effect that is not known yet may make one motion's stops later than another's. one_clock: the session's
+    calibration had sensor and motor on one clock; then a lag of up to _NEAR_S is sooner an effect's than another
+    clock's, and is not taken off either."""
     every, reach_s = observe(recordings, rig), _NEAR_S if one_clock else DELAY_REACH_S
     seen = [track for track in every if len(track.t_s)]
     aligned = align(seen, rig, same_delay_for_all=False, reach_s=reach_s)

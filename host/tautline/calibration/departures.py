@@ -136,10 +136,11 @@ def _one_value(counted: CountedFrames, name: str, column: Array) -> Departure:
 
 
 def _start_departures(counted: CountedFrames, by_speed: Sequence[Departure]) -> list[Departure]:
-    """How the tip starts after a reversal, as a curve over the travel since the turn in widths. phase.even: an offset
-    of p along the stroke's direction, alike both ways; not beside a width by speed, which looks like it. phase.odd: an
-    offset of p that has the same sign both ways, so that the tip starts early one way and late the other."""
-    hats = _hat_functions(counted.phase, _PHASES)[:, :-1]
+    """How the tip starts after a reversal, as a curve over the motor's travel since the turn, in widths B. phase.even:
+    an offset of p along the stroke's direction, alike both ways; not beside a width by speed, which looks like it.
+    phase.odd: an offset of p that has the same sign both ways, so that the tip starts early one way and late the
+    other."""
+    hats = _hat_functions(counted.phase, _PHASES)[:, :-1]  # without the last one: 0 from there on
     smooth = _smoothness_penalty(hats.shape[1])
     even = counted.along_path(scaled_rows(counted.direction, hats))
     return [
@@ -162,12 +163,12 @@ def _stroke_departures(counted: CountedFrames, by_stroke: Sparse) -> list[Depart
 def _speed_departures(counted: CountedFrames) -> list[Departure]:
     """A width that depends on the motor's speed: B + v (law - 1) or, with SHARE in the name, B (1 + v (law - 1)), v
     being the value. law is 1 at the usual speed and rises as 1 - exp(-speed / (a usual)), with a candidate for each a
-    of _SATURATES. At rest law is 0, as a motor that stops passes every speed and leaves the tip where a slow one would;
-    or it is 1, if the width keeps what it had (".0" in the name). Only one of all joins, and not beside phase.even,
-    which looks alike."""
+    of _SATURATES. While the tip does not move, as the motor rests or crosses the play, law is 0: a motor that stops
+    passes every speed and leaves the tip where a slow one would; or it is 1, as if the width stayed the usual one (".0"
+    in the name). Only one of all joins, and not beside phase.even, which looks alike."""
     speeds = np.abs(counted.speed)
     usual = max(float(np.mean(speeds[counted.moving])) if counted.moving.any() else 0.0, 1e-12)
-    laws = {f"{SPEED}.{at:g}": -np.expm1(-speeds / (at * usual)) / -np.expm1(-1.0 / at) for at in _SATURATES}
+    laws = {f"{SPEED}.{a:g}": -np.expm1(-speeds / (a * usual)) / -np.expm1(-1.0 / a) for a in _SATURATES}
     laws |= {f"{name}.0": np.where(counted.moving, law, 1.0) for name, law in laws.items()}
     columns = {name: counted.by_width * (law - 1.0) for name, law in laws.items()}
     columns |= {name + SHARE: column * counted.width for name, column in columns.items()}

@@ -114,8 +114,8 @@ class _View:
         return to_camera(self.hand_eye, about_base_z(self.rotation_deg, point))
 
     def image(self, unknown: Array) -> Array:
-        """(2 n,) image positions, px, for the unknowns (4 n,): n angles, deg, then the places' three coordinates,
-        mm."""
+        """(2 n,) image positions u, v of each node in turn, px, for the unknowns (4 n,): n angles, deg, then n first
+        coordinates of the places, n second and n third ones, mm."""
         c_deg, *place = unknown.reshape(4, -1)
         return to_image(self.camera, self.in_camera(c_deg, np.array(place))).ravel()
 

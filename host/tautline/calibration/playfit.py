@@ -317,8 +317,9 @@ class PlayFit:
     def penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
         """Half the Hessian P (m, m) and half the gradient (m,) of what `cost` adds to the data's squares; the gradient
         is P theta for a penalty that is quadratic about 0. They are of smoothness, violated constraints and priors, the
-        latter two in units of scale^2 (scale: rms residual over noise). What is not fitted is held by a unit diagonal,
-        the delay by its sigma."""
+        latter two in units of scale^2 (scale: rms residual over noise). In P alone is what holds a step and no value:
+        the precision of the effects' values (`FittedEffects.precision`), and, for what is not fitted, a unit diagonal,
+        of the delay its sigma."""
         layout = self.layout(curves)
         matrix, pull = np.zeros((layout.total, layout.total)), np.zeros(layout.total)
         known_path = self._path_prior(curves)

@@ -140,10 +140,11 @@ class PreparedTrack:
         effects: FittedEffects | None = None, effect_values: Array | None = None,
     ) -> Simulated:  # fmt: skip
         """The tip at each frame, by a play of B width (nodes,) on grid (nodes,) at this delay, s, and effects with
-        values effect_values (parameters,). The play is run from both far ends; where both agree it has forgotten its
-        start. With effects p, tip, side and lean are those of their path. Which frames count (known, settled) and when
-        the tip moves (share, speed) stay the play's, as effects change them little; a fit with effects takes its
-        derivatives from their path."""
+        values effect_values (parameters,), as `FittedEffects.parameters` has them. The play is run from both far ends,
+        each so far away that it starts on an envelope; where both agree it has forgotten its start. A frame is settled
+        once both ways nearly the least B was driven through (`_low_quantile_of_width`). With effects p, tip, side and
+        lean are those of their path. Which frames count (known, settled) and when the tip moves (share, speed) stay the
+        play's, as effects change them little; a fit with effects takes its derivatives from their path."""
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))

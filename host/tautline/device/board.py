@@ -208,9 +208,9 @@ class Board(Closable):
     @contextlib.contextmanager
     def listening(self, **listeners: Listener) -> Iterator[None]:
         """A context within which these listeners, by name of message (see `listen`), are called."""
-        for name, listener in listeners.items():
-            self.listen(name, listener)
         try:
+            for name, listener in listeners.items():
+                self.listen(name, listener)
             yield
         finally:
             for name, listener in listeners.items():

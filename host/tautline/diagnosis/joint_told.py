@@ -206,10 +206,11 @@ def _joint_document(
 def _with_held_samples(
     was: Mapping[str, Any], sizes: dict[str, Any], named: list[dict[str, Any]]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """(The gap's `sizes`, the `named` effects), both extended by the held samples that the document `was` names;
-    unchanged where it names none. Held samples come from the sensor's link and are no unknown of a simulator, so the
-    joint fit is without them. They are added to the gap again, named last, and close their share of it; the shares of
-    the others are then of the rest."""
+    """(The gap's `sizes`, the `named` effects), both extended by the held samples (values that the sensor's link sent
+    twice) that diagnosis.json named before the joint fit, `was`; unchanged where it named none. They are no unknown of
+    a simulator, so the joint fit is without them. The rms before becomes the one with them, and they are named last
+    with the share of it that they close; the others' shares, so far of the gap without them, become shares of all of
+    it."""
     held = next((effect for effect in was["effects"] if effect["id"] == repeated.HELD), None)
     if held is None:
         return sizes, named

@@ -86,8 +86,8 @@ def _add_candidate(document: dict[str, Any], probability: float, shrink: float) 
 
 def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], shrink: float, leads: bool) -> None:
     """Makes held samples a named effect of `document`, the first one if it `leads`, else the last; they count as there
-    from the start if the calibration has about as many. The shares of the other effects become shares of the rest.
-    shrink: their share of the gap's rms."""
+    from the start if the calibration has about as many. The shares of the other effects, so far of the gap without held
+    samples, become shares of all of it. shrink: their share of the gap's rms."""
     held_shares = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     if document["verdict"] == "unknown":
         document["effects"] = []

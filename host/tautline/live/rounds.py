@@ -134,14 +134,14 @@ class Place:
 
 @dataclass(frozen=True)
 class Standing:
-    """How well B(q) is known so far: its largest standard deviation, `worst`, is at `where`. `missing` are positions at
-    which B could be measured and is not yet; (0, 0) where there are none but a few at the ends."""
+    """How well B(q) is known so far: its largest standard deviation, `worst`, is at `where`."""
 
     worst: float  # one standard deviation, unit of q
     where: float  # position, unit of q
     need: tuple[Place, ...]  # where sigma is above _AIM times the goal
     ends: Span  # of what is measured, unit of q
-    missing: Span  # unit of q
+    missing: Span  # where B could be measured and is not yet, unit of q: (0, 0), nowhere, up to the whole range, where
+    # both of its ends are missing (`_unmeasured`)
     widest: float  # the largest B, unit of q
     unmoved: float  # the longest stroke that moved nothing, unit of q; 0 where none did
     work: float  # time that the goal takes everywhere, in times of the time so far

@@ -27,6 +27,10 @@ Progress = Callable[[float, str], None] | None
 _PROBE_SHARES = (0.06, 0.2)  # of the range to either side: first carefully, then beyond backlash and dead zone
 _STILL_FRAMES = 8  # that are taken of an axis at rest
 _OFF_PX = 0.02  # error of a marker's place that no number of frames averages out
+_TIP_DEG_S = 8.0  # of the tip in the fastest pass: a camera of 30 Hz sees it move by a quarter of a degree a frame
+_OF_TOP_SPEED = 0.25  # the fastest pass, of the axis' top speed: its turns are short beside its passes
+_APPROACH = 0.03  # of the range: so far on the envelope before each turn, that the play is taken up for sure
+_STROKE = 0.25  # of the range: more than any backlash
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
 _HOST_TIMEOUT_S = 1.0  # without a frame for so long the board ends its motion
 # The board's onset detector, in shares of the range: sigma of an onset that is good enough to turn round, of one too
@@ -342,17 +346,22 @@ def check_rig(live: Live) -> None:
 
 def thorough_round(live: Live, options: MotionOptions) -> Round:
     """Plans the thorough calibration motion (that of the paper), slow passes with many reversals, for this set-up; what
-    `options` leave as None is chosen. TautError for speeds that the board cannot take."""
+    `options` leave as None (approach and stroke: or 0) is chosen. TautError unless there are 1 to 4 speeds, above 0 and
+    no faster than the axis may move."""
     rig = live.rig
     low = rig.actuator.range[0] if options.low is None else options.low
     high = rig.actuator.range[1] if options.high is None else options.high
-    fast = min(8.0 / abs(rig.coarse.gain), 0.25 * live.top_speed)  # 8 deg/s of the tip
+    fast = min(_TIP_DEG_S / abs(rig.coarse.gain), _OF_TOP_SPEED * live.top_speed)
     speeds = options.speeds or (fast, 0.5 * fast)
     if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
         raise TautError("the calibration motion takes 1 to 4 speeds above 0")
+    if max(speeds) > live.top_speed:
+        unit = rig.actuator.unit
+        raise TautError(f"the axis moves at {live.top_speed:.3g} {unit}/s at most: give --speeds up to that")
     return Round(
-        low, high, speeds, options.cycles, transit=2.0 * max(speeds), acceleration=_ACCELERATION * max(speeds),
-        approach=options.approach or 0.03 * (high - low), stroke=options.stroke or 0.25 * (high - low),
+        low, high, speeds, options.cycles,
+        transit=min(2.0 * max(speeds), live.top_speed), acceleration=_ACCELERATION * max(speeds),
+        approach=options.approach or _APPROACH * (high - low), stroke=options.stroke or _STROKE * (high - low),
         sigma_wanted=_SIGMA_WANTED * (high - low), sigma_usable=_SIGMA_USABLE * (high - low),
     )  # fmt: skip
 

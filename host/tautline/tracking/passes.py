@@ -56,9 +56,11 @@ class Passes:
         # (places,) Centre coordinates of the cells by the calibrated f_remain: each is one place in the image.
         self.place = self._low + self._cell * np.arange(count)
         self._b = np.interp(self.place, grid, model.width)  # (places,) the calibrated B there
-        # (way: rising q, falling; what is kept; place) of the last pass, NaN where there was none. Kept are: _LATE, way
-        # (q - place), unit of q, by which the motor is ahead of the tip; _SIGMA of y; _OFF_SQUARE, mean square off the
-        # track in sigmas; _SPACING between the two frames, unit of q; _ENTRY, the later frame's number.
+        # (way: rising q, falling; what is kept; place) of the last pass, NaN where there was none. A place lies between
+        # two successive frames. Kept are: _LATE, way (q - place), unit of q, by which the motor is ahead of the tip;
+        # _SIGMA, standard deviation of the tip's place, the larger one of the two frames; _OFF_SQUARE, the mean over
+        # both of the square of how many standard deviations the marker is off its track; _SPACING, how far the tip
+        # moved between both, unit of q; _ENTRY, the later frame's number.
         self._passes = np.full((2, _ENTRY + 1, count), np.nan)
         self._law: Law | None = None  # that `narrowing` was last asked about
         # (places,) The centre coordinates of the cells by that law, and half of its B there.

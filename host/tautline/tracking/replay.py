@@ -68,16 +68,18 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
 
 
 def moved_by_effects(model: Model, recording: Recording, sensor: Sensor) -> Array | None:
-    """(n, 3) By how much the model's effects move the angle c, deg, and the marker's u and v, px, in each frame, by the
-    motor's last sample before its scene time. None where the model has no effects."""
+    """(n, 3) By how much the model's effects move the angle c, deg, and the marker's u and v, px (NaN without a
+    camera), in each frame; None where the model has no effects. They are taken at the motor's last sample before the
+    frame's scene time (its time less the sensor's delay), or at the first sample: a row may know of no later one."""
     if not model.effects:
         return None
     motor = recording.motor
     scene = _frames(recording, sensor).t_s - model.delay_of(sensor)
-    at = motor.t_s[np.maximum(np.searchsorted(motor.t_s, scene, side="right") - 1, 0)]
+    sample_s = motor.t_s[np.maximum(np.searchsorted(motor.t_s, scene, side="right") - 1, 0)]
     load = model.load_reference_mNm
     with_effects, without = (
-        effects.simulate(model, motor, at, own, load_reference=load) for own in (effects.of_model(model), {})
+        effects.simulate(model, motor, sample_s, values, load_reference=load)
+        for values in (effects.of_model(model), {})
     )
     return np.column_stack([with_effects.c_deg - without.c_deg, with_effects.image_px - without.image_px])
 

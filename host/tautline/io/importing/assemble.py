@@ -271,9 +271,9 @@ class _Maker:
     def _series(self, channel: Named, target: str, role: str, keep_lost: bool = False) -> tuple[Array, Array]:
         """A channel's times, s, and its values in the unit `target`, (n,) each; notes the channel's use in `told`. Rows
         without a number are left out, with a warning; keep_lost keeps them as NaN. role: for messages and import.toml.
-        TautError where there are no numbers, or more than _MOST_LOST of the motor's rows have none."""
+        TautError where there are no numbers, or more than a share _MOST_LOST of the motor's rows have none."""
         t_s, (values,) = self._times(channel, (channel.name,))
-        times, unit = factor(channel, self._chosen.stated_unit(channel), target)
+        multiplier, unit = factor(channel, self._chosen.stated_unit(channel), target)
         finite = np.isfinite(values)
         lost = int((~finite).sum())
         if not finite.any():
@@ -286,8 +286,8 @@ class _Maker:
                 )
             self._warnings.append(f"{channel.name}: {lost} rows without a number were left out")
             t_s, values = t_s[finite], values[finite]
-        self._record_use(role, channel, len(t_s), unit, times)
-        return t_s, values if times == 1.0 else values * times
+        self._record_use(role, channel, len(t_s), unit, multiplier)
+        return t_s, values if multiplier == 1.0 else values * multiplier
 
     def _times(self, channel: Named, names: tuple[str, ...]) -> tuple[Array, list[Array]]:
         """The rising times of a channel's group, s, and the values at these times of the channels `names`, all of this

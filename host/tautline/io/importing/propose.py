@@ -308,8 +308,10 @@ def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
 
 def _with_units(found: Proposal, listing: Listing) -> Proposal:
     """The proposal with the unit of q and of each channel filled in. A unit is the user's, the file's or the one in the
-    name; else a guess by ratios and ranges, which is added to the notes. A channel with the user's factor gets no
-    unit."""
+    name; q's is the motor's if not the user's. Where neither has a factor, units of a motor and a tip of one channel
+    that are not known are guessed together; else such a motor is taken to be in q's unit; both are noted. A command
+    without a unit of q's kind has the motor's, and a load without one of torque none. A channel with the user's factor
+    gets no unit."""
     assert found.motor is not None
     notes = list(found.notes)
     motor_unit = _stated_unit(found.motor, listing)
@@ -322,7 +324,7 @@ def _with_units(found: Proposal, listing: Listing) -> Proposal:
     if one_angle and found.motor.factor is None and tip[0].factor is None and tip[0].name in listing.channels:
         motor_unit, tip_unit = _guess_units(found.motor, motor_unit, tip[0], tip_unit, unit, listing, notes)
     elif not motor_unit and found.motor.factor is None:
-        notes.append(f"no unit is known of {found.motor.name}: {unit} is a guess")
+        notes.append(f"no unit is known of {found.motor.name}: it is taken as {unit}")
     if one_angle and tip[0].factor is None:
         tip = (replace(tip[0], unit=tip_unit if tip_unit in ANGLES else ""),)
     command = found.command

@@ -84,23 +84,25 @@ def progress_document(view: View) -> dict[str, Any]:
 
 
 def missing_in_words(view: View) -> list[str]:
-    """Says in sentences, one for each thing, what is missing for the goal of a live calibration; [] where nothing
-    is."""
+    """Says in sentences, one for each thing, what is missing for the goal of a live calibration, a sigma of B; [] where
+    nothing is. Where both ends of the range are unmeasured, the measured part is named in their place, if there is
+    one."""
     unit, standing = view.unit, view.standing
     said = []
     if view.coverage < 1.0:
         said.append(f"seen in both directions over {100 * view.coverage:.0f} % of the range")
-    low, high = view.unseen
+    low, high = view.unseen  # low = high where the marker was seen everywhere
     if low < high:
         said.append(f"the marker is mostly lost from {low:.3g} to {high:.3g} {unit}")
     if standing is None or view.until is None:
         return said
-    if standing.missing == (view.low, view.high) and standing.ends != standing.missing:
+    both_ends_missing = standing.missing == (view.low, view.high)
+    if both_ends_missing and standing.ends != standing.missing:
         said.append(f"B is measured only from {standing.ends[0]:.3g} to {standing.ends[1]:.3g} {unit}")
     elif not standing.covered:
         said.append(not_measured(standing.missing, unit))
     said += [
-        f"sigma is {in_words(place.sigma, unit)} from {place.low:.3g} to {place.high:.3g} {unit}"
+        f"sigma of B is {in_words(place.sigma, unit)} from {place.low:.3g} to {place.high:.3g} {unit}"
         for place in standing.need
         if place.sigma > view.until
     ]
