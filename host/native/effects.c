@@ -426,13 +426,13 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     struct plays plays;
     find_plays(&all, tables->elements, &plays);
     const struct play_table *table = &tables->elements->table;
-    size_t c_at = 0, width_at = 0;
+    size_t c_at = 0, bent_at = 0, width_at = 0;
     const double mean_width = play_mean_width(table);
     const double per_mean = all.count > 0 && mean_width > 0.0 ? 1.0 / mean_width : 0.0; // without effects nobody asks
     const double usual_speed = 0.1 * (table->grid[table->n - 1] - table->grid[0]);
     const double c_middle = tables->c_deg[table->n / 2];
     const double c_slope = (tables->c_deg[table->n - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
-    double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, again_s = INFINITY;
+    double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, bent_before = 0.0, again_s = INFINITY;
     const size_t last = motion->knots - 1;
     size_t knot = 0, asked = 0;
     int started = 0;
@@ -506,8 +506,10 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             if (a->effect->hold) {
                 tip = a->effect->hold(a->v, a->state, tip);
             }
-            if (a->effect->lie && started) {
-                lies_next = a->effect->lie(a->v, lies, side, fabs(centre - from), &now);
+            if (a->effect->lie) {
+                const double bent = configuration(tables, &bent_at, tip) / c_slope;
+                lies_next = started ? a->effect->lie(a->v, lies, side, fabs(bent - bent_before), &now) : side;
+                bent_before = bent;
             }
         }
         lies = lies_next;

@@ -63,12 +63,14 @@ static void beside(const struct projection_rig *rig, double c_deg, double *at, d
     }
 }
 
-// What is seen in the section's frame (x, y, z) mm at c rad, and its derivative per rad.
-static void bend(const struct projection_rig *rig, double gradient, double c, double *point, double *slope) {
+// What is seen in the section's frame (x, y, z) mm at c rad, and its derivative per rad. The curvature goes from (1 -
+// g) at the base to (1 + g), g = gradient + by_bend |c|.
+static void bend(const struct projection_rig *rig, double gradient, double by_bend, double c, double *point,
+                 double *slope) {
     const double length = rig->bending_length, tip = rig->tip_length;
     const double sine = sin(c), cosine = cos(c);
     double across, along, d_across, d_along; // of the section, per length
-    if (gradient == 0.0) {
+    if (gradient == 0.0 && by_bend == 0.0) {
         if (fabs(c) < SMALL) {
             across = c / 2 - c * c * c / 24;
             along = 1 - c * c / 6;
@@ -83,12 +85,14 @@ static void bend(const struct projection_rig *rig, double gradient, double c, do
     } else { // the integral of the direction along the section
         across = along = d_across = d_along = 0.0;
         for (int i = 0; i < NODES; i++) {
-            const double share = NODE[i] + gradient * (NODE[i] * NODE[i] - NODE[i]);
+            const double uneven = NODE[i] * NODE[i] - NODE[i];
+            const double share = NODE[i] + uneven * (gradient + by_bend * fabs(c));
+            const double rate = share + uneven * by_bend * fabs(c); // d (c share) / dc
             const double s = WEIGHT[i] * sin(c * share), o = WEIGHT[i] * cos(c * share);
             across += s;
             along += o;
-            d_across += o * share;
-            d_along -= s * share;
+            d_across += o * rate;
+            d_along -= s * rate;
         }
     }
     point[0] = length * across + tip * sine;
@@ -148,7 +152,7 @@ void projection_image(const struct projection_parameters *e, const struct projec
     const double k[5] = {d[0] + e->k1, d[1] + e->k2, d[2] + e->p1, d[3] + e->p2, d[4] + e->k3};
     for (size_t n = 0; n < pose->count; n++) {
         double x[3], slope[3];
-        bend(rig, e->curvature_gradient, pose->c_deg[n] * RADIANS, x, slope);
+        bend(rig, e->curvature_gradient, e->curvature_by_bend, pose->c_deg[n] * RADIANS, x, slope);
         if (pose->translation) {
             x[2] += pose->translation[n];
         }

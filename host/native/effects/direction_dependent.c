@@ -13,11 +13,10 @@ static int present(const double *v) {
     return v[TRAVEL] > 0.0 || v[DRIVEN] != 0.0;
 }
 
+// A spring that slides: what pulls it turns over within the travel.
 static double lie(const double *v, double lies, int side, double travelled, const struct effect_moment *now) {
-    if (v[DRIVEN] != 0.0) { // a spring that slides: the tendon's pull turns over within the travel
-        return fmin(fmax(lies + 2.0 * now->moved / fmax(v[TRAVEL], 1e-9), -1.0), 1.0);
-    }
-    return lies + (side - lies) * (1.0 - exp(-travelled / v[TRAVEL]));
+    const double moved = v[DRIVEN] != 0.0 ? now->moved : side * travelled;
+    return fmin(fmax(lies + 2.0 * moved / fmax(v[TRAVEL], 1e-9), -1.0), 1.0);
 }
 
 const struct effect effect_direction_dependent = {

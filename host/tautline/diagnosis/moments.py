@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fit import Fitter, moves_tip
 from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.segment import Segment
 
@@ -46,23 +46,35 @@ def refine_moments(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
 
 
 def moments_are_seen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
-    """Whether some recording shows each moment of the last added effect; True for an effect without moments. A change
-    between two recordings is another registration or offset instead."""
+    """Whether some recording shows each moment of the last added effect, or for a shift the tests together; True for an
+    effect without moments."""
     return all(_is_seen(fitter, fit, moment, limits) for moment in fit.hypothesis.kinds[-1].moments)
 
 
 def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> bool:
     """Whether the recording that contains this moment, at least _MARGIN_S from either end, shows it: its frames before
-    the moment fit better without the change, those after it better with the change. False where no recording contains
-    it."""
+    the moment fit better without the change, those after it better with the change. A change that comes between two
+    tests is in all of them instead, if it is one of the registration: the tip's is another offset in each test, an
+    effect of its own (`Kind.each`). False where neither contains it."""
     moment_s = fit.state.values[moment]
-    for segment, limit in zip(fitter.segments, limits, strict=True):
-        frames_s = _scene_times(fit, segment)
-        if frames_s[0] + _MARGIN_S < moment_s < frames_s[-1] - _MARGIN_S:
+    numbers = range(len(fitter.segments))
+    contain = [[i] for i in numbers]
+    if not any(moves_tip(p) for p in fit.hypothesis.kinds[-1].amplitudes):
+        contain.append([i for i in numbers if not fitter.segments[i].calibration])
+    frames_s = [_scene_times(fit, segment) for segment in fitter.segments]
+    for indices in contain:
+        times = np.concatenate([np.empty(0), *(frames_s[i] for i in indices)])
+        if len(times) and times.min() + _MARGIN_S < moment_s < times.max() - _MARGIN_S:
             never, always = (
-                _squares(fitter, fit, segment, {**fit.state.values, moment: at_s}, limit) for at_s in (np.inf, -np.inf)
+                np.concatenate(
+                    [
+                        _squares(fitter, fit, fitter.segments[i], {**fit.state.values, moment: at_s}, limits[i])
+                        for i in indices
+                    ]
+                )
+                for at_s in (np.inf, -np.inf)
             )
-            before = frames_s < moment_s
+            before = times < moment_s
             return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
     return False
 
