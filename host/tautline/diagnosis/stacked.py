@@ -86,6 +86,7 @@ def brought_parts(ids: Collection[str]) -> frozenset[str]:
     return frozenset().union(*(BROUGHT.get(name, frozenset()) for name in ids)) & set(ids)
 
 
+@lru_cache(maxsize=2**16)  # tolerance: the pairs of hypotheses of a case or two: all are asked for at each verdict
 def _in_common_if_replaced(flexible: frozenset[str], simple: frozenset[str]) -> frozenset[str] | None:
     """The effects that two sets have in common, if the set `flexible` gives way to the set `simple` where that
     suffices; else None. It gives way if one of its effects contains one of `simple` (`Kind.contains`) and the other

@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)
 _TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # effects that are simulated by tables
+_AMPLITUDES_IN_TABLES = {kind.id: frozenset(p.name for form in kind.forms for p in form.amplitudes) for kind in _TABLED}
 IN_TABLES = frozenset(p.name for kind in _TABLED for form in kind.forms for p in form.parameters)
 _TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)  # effects with a law in Python
 _BY_SIDE = tuple(p.name for p in BY_ID["registration.direction_dependent"].amplitudes)
@@ -204,7 +205,7 @@ def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
     """Puts the effects that are simulated by tables (IN_TABLES) into the model's B and f_remain; returns the model
     itself where there are none. parameters: of all effects, by name. The last _RECENT results are cached, by the
     model's identity."""
-    present = [kind for kind in _TABLED if any(p.name in parameters for form in kind.forms for p in form.amplitudes)]
+    present = [kind for kind in _TABLED if not _AMPLITUDES_IN_TABLES[kind.id].isdisjoint(parameters)]
     if not present:
         return model
     values = {name: parameters[name] for name in IN_TABLES if name in parameters}
