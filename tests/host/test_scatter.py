@@ -165,5 +165,5 @@ def test_of_frames_that_come_in_bunches_nothing_is_told():
     seen = p[:, None] * PX_PER_UNIT
     block = (t // 10.0).astype(np.int64)
     said = compare_explanations([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
-    assert not any(said.beats_noise(event) for event in (JITTER, STICK, HELD))
+    assert not any(said.beats_rivals(event) for event in (JITTER, STICK, HELD))
     assert all(loss.tolist() == [0.0] * 4 for loss in said.loss.values()) and set(RIVALS) < set(said.loss)

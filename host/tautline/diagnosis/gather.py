@@ -190,10 +190,10 @@ class _Hypotheses:
 
     def _add_mean_effects(self, below: Candidate) -> None:
         """Adds, on top of `below`, fits of events after the calibration by their mean effect; only of events that
-        explain the scatter of `below` better than noise of another level does."""
+        explain the scatter of `below` better than all of their rivals do."""
         explained = self._explained_scatter(below, tests_only=True)
         for kind in self.search.kinds:
-            if kind.event and kind.event.mean and explained.beats_noise(kind.id):
+            if kind.event and kind.event.mean and explained.beats_rivals(kind.id):
                 candidate = self.search.with_mean_effect(below, kind, explained.amount[kind.id])
                 if candidate is not None:
                     self._add_with_mean_effect(candidate)

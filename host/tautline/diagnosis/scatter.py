@@ -3,13 +3,16 @@
 Each explanation is a density of a frame's observation given the frames before it, with one free number by maximum
 likelihood, so that their likelihoods compare. Jitter: frame times are unsteady, and the image scatters along its motion
 in proportion to its speed, both ways or, of frames that wait, one way, by chance or by what their times of arrival say.
-Stick-slip: the tip stays where it was while the motor drives on, the likelier the less it has driven since, and else is
-anywhere within a jump. Rivals stand for whatever else leaves a residual: noise whose level is another while the motor
-drives ("level"), lengths by which the tip is behind or ahead at any speed ("behind"), noise that grows with the speed
-both along the motion and across it, as of a marker that blurs ("blur"; of an angle that is jitter), noise that is
-correlated with the frames before ("memory"), a link that sends frames twice, a tracker that errs with the position
-within a pixel ("pixels"), and a misfit that is the same whenever the motor comes to a place from one side ("place").
-Every density is mixed with a broad one: no model is right for every frame.
+Stick-slip: for a while the tip stays where it was while the motor drives on, the likelier the less it has driven since,
+and else is anywhere within a jump; between such times the frames are as in bursts. Rivals stand for whatever else
+leaves a residual: noise whose level is another while the motor drives ("level"), lengths by which the tip is behind or
+ahead at any speed ("behind"), noise that grows with the speed both along the motion and across it, as of a marker that
+blurs ("blur"; of an angle that is jitter), noise that is correlated with the frames before ("memory"), a misfit that
+comes and goes ("bursts"), a link that sends frames twice, a tracker that errs with the position within a pixel
+("pixels"), and a misfit that is the same whenever the motor comes to a place from one side ("place"). A tip that goes
+twice as far for a while instead of staying ("doubles") is none that there is: it tells how much of what sticking
+explains any further law of the motion would. Every density is mixed with a broad one: no model is right for every
+frame.
 """
 
 from __future__ import annotations
@@ -22,8 +25,9 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solveh_banded
-from scipy.special import log_ndtr
+from scipy.special import gammaincinv, log_ndtr
 
+from tautline import _native
 from tautline.coarse_grid import least_of
 from tautline.core.samples import period_s, waits_s
 from tautline.diagnosis.fit import Fitter
@@ -34,7 +38,7 @@ Array = npt.NDArray[np.float64]
 
 STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 _AS_IT_IS = "as it is"
-RIVALS = ("level", "blur", "behind", "memory", HELD, "pixels", "place")
+RIVALS = ("level", "blur", "behind", "memory", "bursts", "doubles", HELD, "pixels", "place")
 _MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
 _REMEMBERED = 3  # tolerance: frames that the rival "memory" reaches back
 _BROAD = 0.03  # prior: share of frames that follow no model
@@ -47,6 +51,9 @@ _OUTLIERS = 0.97  # tolerance: quantile to which squared residuals are cut where
 _HELD_SHARES = np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9])  # prior: grid of repeats
 _PLACES = 96  # prior: places along the range at which a misfit may be another
 _RIDGE = 1e-9  # tolerance: of a frame: for rounding
+_DISTURBED_EVERY_S, _DISTURBED_S = 3.0, 0.5  # prior: mean time until frames are disturbed, and for which they are
+_STICKS_S = 2.0  # prior: s: mean time until a tip begins to stick and jump, and for which it does
+_DISTURBANCES = np.geomspace(0.3, 300.0, 31)  # prior: grid of standard deviations of disturbed frames, times the noise
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
 # tolerance: of the smallest jump, and of the time in which a fast image shows beside noise: grids begin there
 _FINEST = 0.1
@@ -68,10 +75,10 @@ class Scatter:
         drives."""
         return self.loss[_AS_IT_IS]
 
-    def beats_noise(self, event: str) -> bool:
-        """Whether the event with this id predicts the residuals better than noise whose level changes while the motor
-        drives."""
-        return float(np.mean(self.loss[event])) < float(np.mean(self.loss["level"]))
+    def beats_rivals(self, event: str) -> bool:
+        """Whether the event with this id predicts the residuals better than each of the rivals does."""
+        least = min(float(np.mean(self.loss[rival])) for rival in RIVALS if rival != event)
+        return float(np.mean(self.loss[event])) < least
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,7 @@ class Frames:
     per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest as in the last motion
     image: Array  # (n, k) observed
     before: Array  # (n, k, _REMEMBERED) residuals of the frames before
+    period_s: float  # the usual one, from frame to frame
     block: npt.NDArray[np.int64]  # (n,) the number of the block of manoeuvres
     calibration: npt.NDArray[np.bool_]  # (n,) whether it is one of the calibration
 
@@ -142,6 +150,7 @@ def frames(
         per_unit=per_unit[kept],
         image=observed[kept],
         before=np.stack([residual[kept - back] for back in range(1, _REMEMBERED + 1)], axis=-1),
+        period_s=period_s(t),
         block=block[kept],
         calibration=np.full(len(kept), calibration),
     )
@@ -165,6 +174,8 @@ def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> 
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
     jumps = np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, _JUMP_SIZES)
     stuck, jump = frames.likeliest(frames.stick, jumps)
+    doubled, _ = frames.likeliest(frames.double, jumps)
+    returning = frames.likeliest(frames.returns, _DISTURBANCES * floor)
     lengths = np.geomspace(_FINEST * _JUMPS[0] * fast_drive, fast_drive, _LENGTHS)
     behind, ahead = (frames.likeliest(frames.behind, way * lengths) for way in (1.0, -1.0))
     repeated, held_share = frames.likeliest(frames.repeats, _HELD_SHARES)
@@ -176,7 +187,9 @@ def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> 
         "level": level,
         "blur": frames.likeliest(frames.blur, seconds)[0] if frames.coordinates > 1 else level,
         "behind": max(behind, ahead, key=_log_likelihood)[0],
-        "memory": frames.two_levels(frames.residual - frames.by_memory()),
+        "memory": frames.two_levels(frames.residual - frames.by_memory),
+        "bursts": max(frames.bursts, returning, key=_log_likelihood)[0],
+        "doubles": doubled,
         HELD: repeated,
         "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
         "place": frames.two_levels(frames.residual - frames.by_place()),
@@ -229,9 +242,16 @@ class _Joined:
         self._moving = self.driven > _MOVES * max(float(np.quantile(self.driven, _FAST)), 1e-12)
         power = max(float(np.mean(self.residual**2)), self._floor2)
         self._broad = _isotropic_log_density(np.sum(self.residual**2, axis=1), power, self.coordinates)
-        # Log-density of the observation about the one of the frame before: both have the noise floor^2.
+        self._begins = np.concatenate([np.arange(len(part.block)) == 0 for part in parts])  # a recording
+        self._period_s = float(np.median(np.repeat([p.period_s for p in parts], [len(p.block) for p in parts])))
+        # Log-densities of an observation that is where that of the frame before was, or twice as far from there as
+        # predicted; both frames have the noise floor^2.
         moved = joined(lambda f: f.moved)
-        self._repeated = _isotropic_log_density(np.sum(moved**2, axis=1), 2.0 * self._floor2, self.coordinates)
+        doubled = moved - 2.0 * (moved - self.residual + self._before[:, :, 0])
+        self._repeated, self._doubled = (
+            _isotropic_log_density(np.sum(off**2, axis=1), 2.0 * self._floor2, self.coordinates)
+            for off in (moved, doubled)
+        )
 
     def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
         """(Log-density (n,) of the likeliest member of a family of densities, after a broad one is mixed in; that
@@ -267,6 +287,7 @@ class _Joined:
                     variance[part] = max(float(np.mean(clipped)), self._floor2)
         return self._with_broad(_isotropic_log_density(squares, variance, self.coordinates))
 
+    @cached_property
     def by_memory(self) -> Array:
         """(n, k) The linear prediction of each residual from those of the _REMEMBERED frames before it, by least
         squares."""
@@ -380,14 +401,97 @@ class _Joined:
         return _isotropic_log_density(squares, self._floor2 + (seconds * self.speed) ** 2, self.coordinates)
 
     def stick(self, jump: float) -> Array:
-        """(n,) Log-density of a tip that with probability 1 - driven / jump stays where it was at the frame before, and
-        else lies anywhere within a jump of the prediction, along its path. jump: in the play's centre, unit of q. The
-        probability is kept within _LEAST and _MOST."""
+        """(n,) Log-density of a tip that at times sticks and jumps, and else follows the motor in bursts. While it
+        does, it stays with probability 1 - driven / jump where it was at the frame before, and else lies anywhere
+        within a jump of the prediction, along its path. jump: in the play's centre, unit of q. The probability is kept
+        within _LEAST and _MOST."""
+        return self._in_regimes(*self._quiet_and_disturbed, self._jumping(self._repeated, jump))
+
+    def double(self, jump: float) -> Array:
+        """(n,) As `stick`, of a tip that goes twice as far as predicted where that one stays."""
+        return self._in_regimes(*self._quiet_and_disturbed, self._jumping(self._doubled, jump))
+
+    def _jumping(self, stays_at: Array, jump: float) -> Array:
+        """(n,) Log-density of frames that stay, with the log-density stays_at (n,), or have jumped: as `stick` says."""
         stays = np.where(self.driven > 0.0, np.clip(1.0 - self.driven / jump, _LEAST, _MOST), _MOST)
         variance = self._floor2 + self._per_unit2 * jump**2 / 12.0  # equation: of a uniform density
         along, across2 = self._by_direction
         within_jump = _gaussian_along_log_density(along, across2, variance, self._floor2, self.coordinates)
-        return np.asarray(np.logaddexp(np.log(stays) + self._repeated, np.log1p(-stays) + within_jump))
+        return np.asarray(np.logaddexp(np.log(stays) + stays_at, np.log1p(-stays) + within_jump))
+
+    @cached_property
+    def bursts(self) -> tuple[Array, float]:
+        """(Log-density (n,) of frames that follow those before them, disturbed for a while now and then, a broad one
+        mixed in; the likeliest standard deviation of the disturbance, px or deg)."""
+        return self._likeliest_bursts[0]
+
+    @property
+    def _quiet_and_disturbed(self) -> tuple[Array, Array]:
+        """(n,) Log-densities of frames that are quiet, and of those that are disturbed, in the likeliest `bursts`."""
+        return self._likeliest_bursts[1]
+
+    @cached_property
+    def _likeliest_bursts(self) -> tuple[tuple[Array, float], tuple[Array, Array]]:
+        """(`bursts`, `_quiet_and_disturbed`). A residual is expected to be what memory predicts, or that of the frame
+        before, whichever is likelier of all."""
+        of_each = [self._bursts_about(expected) for expected in (self.by_memory, self._before[:, :, 0])]
+        return max(of_each, key=lambda one: _log_likelihood(one[0]))
+
+    def _bursts_about(self, expected: Array) -> tuple[tuple[Array, float], tuple[Array, Array]]:
+        """As `_likeliest_bursts`, of residuals expected to be `expected` (n, k)."""
+        squares = np.sum((self.residual - expected) ** 2, axis=1)
+        variance = self._variance_of_most(squares)
+
+        def parts(disturbance: float) -> tuple[Array, Array]:
+            """(n,) Log-densities of quiet and disturbed frames; disturbance: a standard deviation, px or deg."""
+            wide = variance + disturbance**2
+            return (
+                _isotropic_log_density(squares, variance, self.coordinates),
+                _isotropic_log_density(squares, wide, self.coordinates),
+            )
+
+        likeliest = self.likeliest(lambda s: self._in_regimes(*parts(s)), _DISTURBANCES * np.sqrt(self._floor2))
+        return likeliest, parts(likeliest[1])
+
+    def returns(self, disturbance: float) -> Array:
+        """(n,) Log-density of frames that are on the path, and of those that for a while stay as far off it as the
+        frame before, but for a standard deviation `disturbance`, px or deg."""
+        squares, of_change = (np.sum(off**2, axis=1) for off in (self.residual, self.residual - self._before[:, :, 0]))
+        return self._in_regimes(
+            _isotropic_log_density(squares, self._floor2, self.coordinates),
+            _isotropic_log_density(of_change, 2.0 * self._floor2 + disturbance**2, self.coordinates),
+        )
+
+    def _variance_of_most(self, squares: Array) -> Array:
+        """(n,) Variance of a coordinate of most frames, at least floor^2: one while the motor drives and one while it
+        rests, for each recording, by the median of squares (n,), of a Gaussian's k coordinates."""
+        variance = np.empty(len(squares))
+        median = 2.0 * float(gammaincinv(0.5 * self.coordinates, 0.5))  # equation: of chi-square with k degrees
+        for number in np.unique(self._recording):
+            for part in (self._moving & (self._recording == number), ~self._moving & (self._recording == number)):
+                if part.any():
+                    variance[part] = max(float(np.median(squares[part])) / median, self._floor2)
+        return variance
+
+    def _in_regimes(self, quiet: Array, disturbed: Array, third: Array | None = None) -> Array:
+        """(n,) Log-density of each frame given those before it, of frames that are quiet, or for a while disturbed, or
+        for a while follow a third law; quiet, disturbed, third: (n,) log-densities."""
+        begin, end, turn = (
+            min(0.5, self._period_s / mean_s) for mean_s in (_DISTURBED_EVERY_S, _DISTURBED_S, _STICKS_S)
+        )
+        transition = np.array([[1.0 - begin, begin], [end, 1.0 - end]])
+        initial = np.array([end, begin]) / (begin + end)
+        if third is None:
+            return np.asarray(
+                _native.regimes_forward(np.column_stack([quiet, disturbed]), self._begins, transition, initial)
+            )
+        with_third = np.block(
+            [[(1.0 - turn) * transition, np.full((2, 1), turn)], [np.array([[turn, 0.0, 1.0 - turn]])]]
+        )
+        initial = 0.5 * np.append(initial, 1.0)
+        return np.asarray(
+            _native.regimes_forward(np.column_stack([quiet, disturbed, third]), self._begins, with_third, initial)
+        )
 
     def repeats(self, share: float) -> Array:
         """(n,) Log-density of a link that shows the frame before again in place of this share of the frames; such a
