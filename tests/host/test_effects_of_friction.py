@@ -109,13 +109,17 @@ def test_a_width_may_grow_with_the_logarithm_of_speed():
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.05, 2.0))
 @settings(max_examples=20, deadline=None)
-def test_the_motor_turns_a_channel_over_within_its_travel(seed, travel):
+def test_the_motor_or_the_tip_turns_a_channel_over_within_its_travel(seed, travel):
     motor = wandering(seed)
-    lies = [0.0]
-    for step in np.diff(motor.q).tolist():
-        lies.append(min(max(lies[-1] + 2 * step / travel, -1.0), 1.0))
-    path = simulate(MODEL, motor, motor.t_s, {"tilt_x": 0.2, "tilt_travel": travel, "tilt_driven": 1.0})
-    np.testing.assert_allclose(path.way, lies, atol=1e-9)
+    slope = float(MODEL.c_deg[-1] - MODEL.c_deg[0]) / float(GRID[-1] - GRID[0])
+    for driven in (0.0, 1.0):
+        path = simulate(MODEL, motor, motor.t_s, {"tilt_x": 0.2, "tilt_travel": travel, "tilt_driven": driven})
+        moves = np.diff(motor.q if driven else path.c_deg / slope)
+        lies = [float(path.way[0])]
+        for step in moves.tolist():
+            lies.append(min(max(lies[-1] + 2 * step / travel, -1.0), 1.0))
+        np.testing.assert_allclose(path.way, lies, atol=1e-9)
+        assert driven == 0.0 or lies[0] == 0.0
 
 
 def test_axes_couple_through_gaps_of_their_own():

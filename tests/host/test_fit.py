@@ -164,7 +164,9 @@ FITTED = [
     {"contact_hold": 0.7, "contact_c": 15.0, "contact_side": 1.0},
     {"contact_hold": 1.15, "contact_c": 12.0, "contact_side": -1.0},  # a section that bows behind it slides back
     {"curvature_gradient": 0.6},
+    {"curvature_gradient": 0.2, "curvature_by_bend": 0.3},
     {"tilt_x": 0.4, "tilt_y": -0.3, "tilt_travel": 0.02},
+    {"tilt_x": 0.4, "tilt_y": -0.3, "tilt_travel": 0.8},
     {"shift_rx": 0.6, "shift_y": 0.3, "shift_time": 104.03},
     {"slip_1": -0.06, "slip_time_1": 102.53},
     {"k1": -0.2, "p1": 0.01},
@@ -314,6 +316,30 @@ def test_a_moment_is_seen_by_the_frames_that_show_it_however_late_they_arrive(be
     fit = Fit(hypothesis, state, fitter.residuals(state, hypothesis))
     assert rms(fit.residuals) < 1.1 * NOISE
     assert moments_are_seen(fitter, fit, [1e3, 1e3]) == seen
+
+
+@pytest.mark.parametrize(
+    ("name", "moved", "tests", "seen"),
+    [
+        ("registration.shift", {"shift_rx": 0.3, "shift_y": 0.15, "shift_time": 104.03}, 2, True),
+        ("registration.shift", {"shift_rx": 0.3, "shift_y": 0.15, "shift_time": 104.03}, 1, False),
+        ("transmission.slip", {"slip_1": -0.06, "slip_time_1": 104.03}, 2, False),
+    ],
+    ids=["shift", "since_the_tests", "slip"],
+)
+def test_a_registration_may_change_between_two_tests(name, moved, tests, seen):
+    """Since the calibration it is another registration; and the tip's offset in each test is an effect of its own."""
+    made = recordings(moved)
+    calibration, test = prepare(MODEL, made[0], made[1:])
+    parts = [test.part(test.session_s < 103.0), test.part(test.session_s > 105.0)]
+    parts[0] = replace(parts[0], calibration=tests == 1)
+    fitter = Fitter(MODEL, [calibration, *parts])
+    kind = BY_ID[name].happening(1)
+    state = replace(fitter.start(), values={p.name: 0.0 for p in kind.parameters} | moved)
+    hypothesis = Hypothesis().plus(kind, Scope.START)
+    fit = Fit(hypothesis, state, fitter.residuals(state, hypothesis))
+    assert rms(fit.residuals) < 1.1 * NOISE
+    assert moments_are_seen(fitter, fit, [1e3] * 3) == seen
 
 
 def test_a_moment_is_found_by_a_sensor_that_the_model_was_not_calibrated_with():

@@ -1,10 +1,14 @@
 """How many neighbouring residuals tell as much as one: against the closed form of known processes."""
 
+from itertools import pairwise, product
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import logsumexp
 
+from tautline import _native
 from tautline.independence import first_order, first_order_sums, frames_each
 
 
@@ -49,6 +53,32 @@ def test_nothing_left_is_independent():
     assert frames_each(np.zeros(100), 20) == 1.0
     assert frames_each(np.ones(1), 20) == 1.0
     assert first_order(np.zeros(100)) == 1.0
+
+
+@given(st.integers(1, 6), st.integers(1, 4), st.integers(0, 2**31))
+def test_hidden_regimes_against_all_ways_through_them(n, count, seed):
+    rng = np.random.default_rng(seed)
+    density, initial = rng.normal(0.0, 3.0, (n, count)), rng.dirichlet(np.ones(count))
+    transition = rng.dirichlet(np.ones(count), count)
+    begins = np.append(True, rng.random(n - 1) < 0.3)
+    found = _native.regimes_forward(density, begins, transition, initial)
+    for first in np.flatnonzero(begins).tolist():
+        end = next((k for k in range(first + 1, n) if begins[k]), n)
+        for last in range(first, end):
+            ways = product(range(count), repeat=last - first + 1)
+            of_each = [
+                np.log(initial[way[0]])
+                + sum(np.log(transition[a, b]) for a, b in pairwise(way))
+                + sum(density[first + k, regime] for k, regime in enumerate(way))
+                for way in ways
+            ]
+            assert float(np.sum(found[first : last + 1])) == pytest.approx(float(logsumexp(of_each)), abs=1e-9)
+
+
+def test_regimes_far_from_each_other_do_not_underflow():
+    density = np.array([[0.0, -2000.0], [-2000.0, 0.0], [-5000.0, -5000.0]])
+    found = _native.regimes_forward(density, np.arange(3) == 0, np.full((2, 2), 0.5), np.full(2, 0.5))
+    np.testing.assert_allclose(found, [np.log(0.5), np.log(0.5), -5000.0], rtol=1e-12)
 
 
 @given(st.integers(0, 30), st.integers(1, 3), st.floats(-1.0, 1.0), st.integers(0, 2**31))

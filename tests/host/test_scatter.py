@@ -69,6 +69,31 @@ def swinging(t, p, rng):
     return p + 0.02 * np.sin(2 * np.pi * t / 3.3)
 
 
+def coughing(t, p, rng):
+    """What pushes the tip aside three times in a row, now and then."""
+    seen = p.copy()
+    for begin in np.arange(6.0, 78.0, 9.0):
+        for after, size in ((0.0, 1.0), (0.4, 0.7), (0.75, 0.35)):
+            x = np.maximum(t - begin - after, 0.0) / 0.09
+            seen += 0.25 * size * x * np.exp(1.0 - x)
+    return seen
+
+
+def extrapolating(t, p, rng):
+    """A tracker that goes on as the marker last moved while it is hidden for a moment."""
+    seen = p.copy()
+    for begin in np.arange(5.0, 78.0, 3.7):
+        hidden = np.flatnonzero((t > begin) & (t < begin + 0.6))
+        k = int(hidden[0]) - 1
+        seen[hidden] = p[k] + (t[hidden] - t[k]) * (p[k] - p[k - 2]) / (t[k] - t[k - 2])
+    return seen
+
+
+def sticking_and_swinging(t, p, rng):
+    """A tip that sticks in slow strokes alone, beside what is as smooth as it is large."""
+    return np.where(t < 40.0, sticking(t, p, rng), p) + 0.08 * np.sin(2 * np.pi * t / 3.3)
+
+
 def rippling(t, p, rng):
     """What pulls the tip to and fro by the place, other waves either way."""
     moves = np.diff(p, prepend=p[0]) != 0.0
@@ -81,12 +106,20 @@ def rippling(t, p, rng):
     [
         *[(unsteady, JITTER), (waiting, JITTER), (sticking, STICK), (repeating, HELD), (lagging, "behind")],
         *[(wandering, "memory"), (swinging, "memory"), (blurred, "blur"), (rippling, "place")],
+        *[(extrapolating, "bursts"), (sticking_and_swinging, STICK)],
     ],
 )
 def test_each_says_its_own_best(make, name):
     said = told(np.random.default_rng(5), make)
     mean = {key: float(np.mean(said.loss[key])) for key in (JITTER, STICK, *RIVALS)}
     assert min(mean, key=lambda key: mean[key]) == name, mean
+
+
+@pytest.mark.parametrize("make", [coughing, extrapolating, swinging, rippling])
+@pytest.mark.parametrize("per_unit", [PX_PER_UNIT, PX_PER_UNIT[:1]], ids=["px", "deg"])
+def test_what_comes_and_goes_is_no_event(make, per_unit):
+    said = told(np.random.default_rng(12), make, per_unit)
+    assert not said.beats_rivals(JITTER) and not said.beats_rivals(STICK)
 
 
 @pytest.mark.parametrize(
