@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +34,7 @@ _SMALL_START = 0.1  # tolerance: share of an event's amount from which a fit of 
 _CURVE_PARAMETERS = 3  # prior: effective parameters of a smooth curve: level, slope, curvature
 _NOISE_LIMIT = 4.0  # tolerance: noise floors to which residuals that should be noise are cut: a lost marker is none
 # Prior odds and the price of twelve parameters differ by 25 nats at most.
+_ANOTHER = 0.75  # tolerance: of what a linear step with one moment less leaves: another moment is worth a fit
 _HOPELESS = 40.0  # tolerance: nats: a first fit that is less likely than another by more is not finished
 _OUTLIER_LIMIT = 8.0  # tolerance: noise floors below which a residual is never cut
 
@@ -286,13 +288,17 @@ class Search:
 
     def _finished_with_more_moments(self, below: Candidate, entry: Screened, begun: Fit) -> list[Candidate]:
         """As `_finished_candidates`; for an effect that happens at moments (shift, slip) it also fits two moments,
-        three and so on, until a fit fails or leaves more than the one before. Returns all candidates, that last one
-        included."""
+        three and so on, until a fit fails or leaves more than the one before. What one of several moments leaves may
+        hide it: as long as no fit succeeds, it goes on while linear steps leave a share of at most _ANOTHER of what
+        they did with one moment less. Returns all candidates, that last one included."""
         fitted = self._finished_candidates(entry, begun)
-        for repeated in entry.more if fitted else ():
+        for fewer, repeated in pairwise((entry, *entry.more)):
+            if not fitted and 1.0 - repeated.gain > _ANOTHER * (1.0 - fewer.gain):
+                break
             again = self._finished_candidates(repeated, self._first_fit(below, repeated))
+            failed = not again or _mean_log_power(again[-1]) > _mean_log_power(fitted[-1]) if fitted else False
             fitted += again
-            if not again or _mean_log_power(fitted[-1]) > _mean_log_power(fitted[-2]):
+            if failed:
                 break
         return fitted
 

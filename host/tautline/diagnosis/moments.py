@@ -52,31 +52,37 @@ def moments_are_seen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
 
 
 def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> bool:
-    """Whether the recording that contains this moment, at least _MARGIN_S from either end, shows it: its frames before
-    the moment fit better without the change, those after it better with the change. A change that comes between two
-    tests is in all of them instead, if it is one of the registration: the tip's is another offset in each test, an
-    effect of its own (`Kind.each`). False where neither contains it."""
+    """Whether the recording that contains this moment, at least _MARGIN_S from either end, or all tests together show
+    it: their frames before the moment fit better without the change, those after it better with the change. What comes
+    between two tests counts if it is one of the registration: of the tip it is another offset in each test, an effect
+    of its own (`Kind.each`)."""
     moment_s = fit.state.values[moment]
-    numbers = range(len(fitter.segments))
-    contain = [[i] for i in numbers]
-    if not any(moves_tip(p) for p in fit.hypothesis.kinds[-1].amplitudes):
-        contain.append([i for i in numbers if not fitter.segments[i].calibration])
     frames_s = [_scene_times(fit, segment) for segment in fitter.segments]
-    for indices in contain:
+
+    def contains(indices: Sequence[int]) -> bool:
+        """Whether the moment is within the time of these recordings together, _MARGIN_S from either end."""
         times = np.concatenate([np.empty(0), *(frames_s[i] for i in indices)])
-        if len(times) and times.min() + _MARGIN_S < moment_s < times.max() - _MARGIN_S:
-            never, always = (
-                np.concatenate(
-                    [
-                        _squares(fitter, fit, fitter.segments[i], {**fit.state.values, moment: at_s}, limits[i])
-                        for i in indices
-                    ]
-                )
-                for at_s in (np.inf, -np.inf)
+        return len(times) > 0 and bool(times.min() + _MARGIN_S < moment_s < times.max() - _MARGIN_S)
+
+    def shows(indices: Sequence[int]) -> bool:
+        """Whether these recordings together show the moment."""
+        before = np.concatenate([frames_s[i] for i in indices]) < moment_s
+        never, always = (
+            np.concatenate(
+                [
+                    _squares(fitter, fit, fitter.segments[i], {**fit.state.values, moment: at_s}, limits[i])
+                    for i in indices
+                ]
             )
-            before = times < moment_s
-            return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
-    return False
+            for at_s in (np.inf, -np.inf)
+        )
+        return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
+
+    within_one = [[i] for i in range(len(frames_s)) if contains([i])]
+    tests = [i for i, segment in enumerate(fitter.segments) if not segment.calibration]
+    of_registration = not any(moves_tip(p) for p in fit.hypothesis.kinds[-1].amplitudes)
+    together = [tests] if (within_one or of_registration) and contains(tests) else []
+    return any(shows(indices) for indices in (*within_one, *together))
 
 
 def _best_moment(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, limits: Sequence[float]) -> float:

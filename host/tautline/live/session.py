@@ -357,7 +357,7 @@ def thorough_round(live: Live, options: MotionOptions) -> Round:
         raise TautError("the calibration motion takes 1 to 4 speeds above 0")
     if max(speeds) > live.top_speed:
         unit = rig.actuator.unit
-        raise TautError(f"the axis moves at {live.top_speed:.3g} {unit}/s at most: give --speeds up to that")
+        raise TautError(f"the axis moves at {live.top_speed:.3g} {unit}/s at most: give --speed up to that")
     return Round(
         low, high, speeds, options.cycles,
         transit=min(2.0 * max(speeds), live.top_speed), acceleration=_ACCELERATION * max(speeds),
