@@ -11,7 +11,8 @@ blurs ("blur"; of an angle that is jitter), noise that is correlated with the fr
 comes and goes ("bursts"), a link that sends frames twice, a tracker that errs with the position within a pixel
 ("pixels"), and a misfit that is the same whenever the motor comes to a place from one side ("place"). A tip that goes
 twice as far for a while instead of staying ("doubles") is none that there is: it tells how much of what sticking
-explains any further law of the motion would. Every density is mixed with a broad one: no model is right for every
+explains any further law of the motion would. One that stays after a start or a turn alone ("starts") does not stick on
+its way. Every density is mixed with a broad one: no model is right for every
 frame.
 """
 
@@ -38,7 +39,7 @@ Array = npt.NDArray[np.float64]
 
 STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 _AS_IT_IS = "as it is"
-RIVALS = ("level", "blur", "behind", "memory", "bursts", "doubles", HELD, "pixels", "place")
+RIVALS = ("level", "blur", "behind", "memory", "bursts", "doubles", "starts", HELD, "pixels", "place")
 _MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
 _REMEMBERED = 3  # tolerance: frames that the rival "memory" reaches back
 _BROAD = 0.03  # prior: share of frames that follow no model
@@ -54,6 +55,7 @@ _RIDGE = 1e-9  # tolerance: of a frame: for rounding
 _DISTURBED_EVERY_S, _DISTURBED_S = 3.0, 0.5  # prior: mean time until frames are disturbed, and for which they are
 _STICKS_S = 2.0  # prior: s: mean time until a tip begins to stick and jump, and for which it does
 _DISTURBANCES = np.geomspace(0.3, 300.0, 31)  # prior: grid of standard deviations of disturbed frames, times the noise
+_NEVER = -1e6  # tolerance: the log-density of what cannot be
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
 # tolerance: of the smallest jump, and of the time in which a fast image shows beside noise: grids begin there
 _FINEST = 0.1
@@ -174,7 +176,7 @@ def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> 
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
     jumps = np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, _JUMP_SIZES)
     stuck, jump = frames.likeliest(frames.stick, jumps)
-    doubled, _ = frames.likeliest(frames.double, jumps)
+    doubled, starting = (frames.likeliest(family, jumps)[0] for family in (frames.double, frames.start_late))
     returning = frames.likeliest(frames.returns, _DISTURBANCES * floor)
     lengths = np.geomspace(_FINEST * _JUMPS[0] * fast_drive, fast_drive, _LENGTHS)
     behind, ahead = (frames.likeliest(frames.behind, way * lengths) for way in (1.0, -1.0))
@@ -190,6 +192,7 @@ def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> 
         "memory": frames.two_levels(frames.residual - frames.by_memory),
         "bursts": max(frames.bursts, returning, key=_log_likelihood)[0],
         "doubles": doubled,
+        "starts": starting,
         HELD: repeated,
         "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
         "place": frames.two_levels(frames.residual - frames.by_place()),
@@ -410,6 +413,20 @@ class _Joined:
     def double(self, jump: float) -> Array:
         """(n,) As `stick`, of a tip that goes twice as far as predicted where that one stays."""
         return self._in_regimes(*self._quiet_and_disturbed, self._jumping(self._doubled, jump))
+
+    def start_late(self, length: float) -> Array:
+        """(n,) Log-density of a tip that stays where it was while the motor rests, and at times until the play's centre
+        has moved on by `length`, unit of q, since it began to move or turned; else it follows the motor in bursts."""
+        stays = np.where(self._travel <= length, self._repeated, _NEVER)
+        return self._in_regimes(*self._quiet_and_disturbed, stays)
+
+    @cached_property
+    def _travel(self) -> Array:
+        """(n,) By how much the play's centre has moved since it began to move or turned, unit of q; 0 at rest."""
+        turned = np.diff(self._way, prepend=0.0) != 0.0
+        travelled = np.cumsum(self.driven)
+        begins = np.maximum.accumulate(np.where(turned | ~self._moving | self._begins, np.arange(len(turned)), 0))
+        return np.where(self._moving, travelled - (travelled - self.driven)[begins], 0.0)
 
     def _jumping(self, stays_at: Array, jump: float) -> Array:
         """(n,) Log-density of frames that stay, with the log-density stays_at (n,), or have jumped: as `stick` says."""
