@@ -54,7 +54,7 @@ _PLACES = 96  # prior: places along the range at which a misfit may be another
 _RIDGE = 1e-9  # tolerance: of a frame: for rounding
 _DISTURBED_EVERY_S, _DISTURBED_S = 3.0, 0.5  # prior: mean time until frames are disturbed, and for which they are
 _STICKS_S = 2.0  # prior: s: mean time until a tip begins to stick and jump, and for which it does
-_DISTURBANCES = np.geomspace(0.3, 300.0, 31)  # prior: grid of standard deviations of disturbed frames, times the noise
+_DISTURBANCES = np.geomspace(0.3, 300.0, 16)  # prior: grid of standard deviations of disturbed frames, times the noise
 _NEVER = -1e6  # tolerance: the log-density of what cannot be
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
 # tolerance: of the smallest jump, and of the time in which a fast image shows beside noise: grids begin there
@@ -176,7 +176,8 @@ def compare_explanations(parts: Sequence[Frames], floor: float, blocks: int) -> 
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
     jumps = np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, _JUMP_SIZES)
     stuck, jump = frames.likeliest(frames.stick, jumps)
-    doubled, starting = (frames.likeliest(family, jumps)[0] for family in (frames.double, frames.start_late))
+    rivals = jumps[::2]  # no size is read off them
+    doubled, starting = (frames.likeliest(family, rivals)[0] for family in (frames.double, frames.start_late))
     returning = frames.likeliest(frames.returns, _DISTURBANCES * floor)
     lengths = np.geomspace(_FINEST * _JUMPS[0] * fast_drive, fast_drive, _LENGTHS)
     behind, ahead = (frames.likeliest(frames.behind, way * lengths) for way in (1.0, -1.0))
