@@ -342,6 +342,21 @@ def test_a_registration_may_change_between_two_tests(name, moved, tests, seen):
     assert moments_are_seen(fitter, fit, [1e3] * 3) == seen
 
 
+@pytest.mark.parametrize(("tests", "seen"), [(2, True), (1, False)])
+def test_a_slip_that_the_play_takes_up_is_shown_by_the_test_after_it(tests, seen):
+    """Until its recording ends the tip hardly moves: as far as that shows it did not slip."""
+    moved = {"slip_1": -0.06, "slip_time_1": 104.03}
+    made = recordings(moved)
+    calibration, test = prepare(MODEL, made[0], made[1:])
+    parts = [test.part(test.session_s < 105.1), test.part(test.session_s > 106.0)]
+    fitter = Fitter(MODEL, [calibration, *parts[:tests]])
+    kind = BY_ID["transmission.slip"].happening(1)
+    state = replace(fitter.start(), values={p.name: 0.0 for p in kind.parameters} | moved)
+    hypothesis = Hypothesis().plus(kind, Scope.START)
+    fit = Fit(hypothesis, state, fitter.residuals(state, hypothesis))
+    assert moments_are_seen(fitter, fit, [1e3] * 3) == seen
+
+
 def test_a_moment_is_found_by_a_sensor_that_the_model_was_not_calibrated_with():
     """Its delay is the nominal one, and not the calibrated sensor's 0.7 s."""
     truth = {"slip_1": -0.06, "slip_time_1": 102.53}
