@@ -296,9 +296,9 @@ class Search:
             if not fitted and 1.0 - repeated.gain > _ANOTHER * (1.0 - fewer.gain):
                 break
             again = self._finished_candidates(repeated, self._first_fit(below, repeated))
-            failed = not again or _mean_log_power(again[-1]) > _mean_log_power(fitted[-1]) if fitted else False
-            fitted += again
-            if failed:
+            before = fitted
+            fitted = before + again
+            if before and (not again or _mean_log_power(again[-1]) > _mean_log_power(before[-1])):
                 break
         return fitted
 

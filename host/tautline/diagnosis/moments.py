@@ -46,7 +46,7 @@ def refine_moments(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
 
 
 def moments_are_seen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
-    """Whether some recording shows each moment of the last added effect, or for a shift the tests together; True for an
+    """Whether each moment of the last added effect is shown by its recording or by all tests together; True for an
     effect without moments."""
     return all(_is_seen(fitter, fit, moment, limits) for moment in fit.hypothesis.kinds[-1].moments)
 

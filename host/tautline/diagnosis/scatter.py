@@ -12,8 +12,7 @@ comes and goes ("bursts"), a link that sends frames twice, a tracker that errs w
 ("pixels"), and a misfit that is the same whenever the motor comes to a place from one side ("place"). A tip that goes
 twice as far for a while instead of staying ("doubles") is none that there is: it tells how much of what sticking
 explains any further law of the motion would. One that stays after a start or a turn alone ("starts") does not stick on
-its way. Every density is mixed with a broad one: no model is right for every
-frame.
+its way. Every density is mixed with a broad one: no model is right for every frame.
 """
 
 from __future__ import annotations
