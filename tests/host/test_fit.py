@@ -348,7 +348,7 @@ def test_a_slip_that_the_play_takes_up_is_shown_by_the_test_after_it(tests, seen
     moved = {"slip_1": -0.06, "slip_time_1": 104.03}
     made = recordings(moved)
     calibration, test = prepare(MODEL, made[0], made[1:])
-    parts = [test.part(test.session_s < 105.2), test.part(test.session_s > 106.0)]
+    parts = [test.part(test.session_s < 105.13), test.part(test.session_s > 106.0)]
     fitter = Fitter(MODEL, [calibration, *parts[:tests]])
     kind = BY_ID["transmission.slip"].happening(1)
     state = replace(fitter.start(), values={p.name: 0.0 for p in kind.parameters} | moved)
