@@ -72,7 +72,7 @@ class Mechanism:
             self.xs = np.linspace(-BEYOND, BEYOND, 801) * self.limit
             if self._settle():
                 break
-        self.turn = float(rng.uniform(0.3, 1.2)) * self.reach
+        self.turn = float(rng.uniform(0.3, 0.8)) * self.reach
 
     def draw(self, rng: np.random.Generator) -> None:
         """Draws the dimensions."""
@@ -169,7 +169,7 @@ def parted(low: FloatArray, high: FloatArray, spread: Any) -> FloatArray:
     """Parts of equal weight in parallel let go at thresholds of Weibull's law, whose mean stays."""
     mean, half = 0.5 * (low + high), 0.5 * (high - low)
     ranks = (np.arange(ELEMENTS) + 0.5) / ELEMENTS
-    weakest = (-np.log(1 - ranks)) ** (1 / 1.5)
+    weakest = (-np.log(1 - ranks)) ** (1 / 0.8)
     scatter = weakest / weakest.mean() - 1
     out = np.zeros(low.size)
     for s in scatter:

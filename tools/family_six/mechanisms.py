@@ -26,7 +26,7 @@ class Bellows(Mechanism):
         u = x / self.limit
         p = (self.spring(x) + push + f * self.pressed(x)) / (1 - self.area * u)
         volume = (1 + 0.5 * law) * u + (self.swell + law) * u * u + self.bulges * p
-        return self.stroke * (volume + self.dead * p / (self.outside + p))
+        return self.stroke * (volume + self.dead * p / (self.outside + np.maximum(p, -0.8 * self.outside)))
 
 
 class Sleeve(Mechanism):
@@ -144,5 +144,6 @@ class Capstan(Mechanism):
         u = x / self.limit
         force = self.hangs * np.cos(np.radians(x) * 0.4) + self.spring(x) + push + f * self.pressed(x)
         z = force / (self.tight * (1 + 0.3 * self.leans * u * u + 0.3 * self.tilt * u))
+        z = np.clip(z, -0.97, 0.97)  # then it slips
         wound = x * (1 + law) + self.limit * (self.uneven + 0.7 * law) * u * u
         return self.ratio * (wound + 0.3 * (self.stretches * force - self.creeps * self.limit * np.log1p(-z * z)))

@@ -18,7 +18,7 @@ class Encoder(Cause):
         turned = np.mod(q / line.turn + phase, 1.0)
         saw = np.interp(turned, [0.0, 1 - seam, 1.0], [-1.0, 1.0, -1.0])
         saw = saw - np.interp(np.mod(phase, 1.0), [0.0, 1 - seam, 1.0], [-1.0, 1.0, -1.0])
-        return q + self.on(line) * self.sign() * self.size * line.turn * saw
+        return q + self.on(line) * self.sign() * 2 * self.size * line.turn * saw
 
 
 class SmoothOnset(Cause):
@@ -26,7 +26,7 @@ class SmoothOnset(Cause):
     says = "parts that rub in parallel let go at thresholds scattered by Weibull's law"
 
     def ask(self, line: Line, m: Mechanism, a: Ask) -> None:
-        a.spread = self.on(line) * 1.2 * self.size
+        a.spread = self.on(line) * 1.15 * self.size
 
 
 class Asymmetric(Cause):
@@ -34,8 +34,8 @@ class Asymmetric(Cause):
     says = "a wiper's lip has to turn over before the tip slides one way"
 
     def ask(self, line: Line, m: Mechanism, a: Ask) -> None:
-        a.lip, a.lip_way = self.on(line) * self.size * m.width_deg, self.sign()
-        a.lip_travel = float(self.rng().uniform(0.4, 1.2)) * m.width_deg
+        a.lip, a.lip_way = self.on(line) * 1.3 * self.size * m.width_deg, self.sign()
+        a.lip_travel = float(self.rng().uniform(0.6, 1.6)) * m.width_deg
 
 
 class Rate(Cause):
@@ -76,7 +76,7 @@ class StickSlip(Cause):
 
     def ask(self, line: Line, m: Mechanism, a: Ask) -> None:
         rng = self.rng()
-        a.ridges = self.on(line) * self.size * m.width_deg
+        a.ridges = self.on(line) * 1.5 * self.size * m.width_deg
         a.pitch = float(rng.uniform(2.0, 6.0)) * self.size * m.width_deg
         a.glides = float(rng.uniform(1.5, 4.0)) * line.usual_speed * line.gain
 
@@ -89,7 +89,7 @@ class Drift(Cause):
         rng, (begin, end) = self.rng(), self.span(line)
         middle, soft = begin + float(rng.uniform(0.3, 0.7)) * (end - begin), float(rng.uniform(0.06, 0.2))
         rise = 1 / (1 + np.exp(-(line.t - middle) / (soft * (end - begin))))
-        amount = self.on(line) * self.size * (rise - np.interp(begin, line.t, rise))
+        amount = self.on(line) * self.size * (end - begin) / 100.0 * (rise - np.interp(begin, line.t, rise))
         if rng.random() < 0.6:
             a.q = a.q + self.sign() * amount * line.width
         else:
@@ -179,7 +179,7 @@ class Coupling(Cause):
             y = play(y - gap, y + gap, float(y[0]))
         far, off = float(rng.uniform(0.5, 1.5)), float(rng.uniform(0.3, 1.2))
         longer = np.hypot(far, off + y) - np.hypot(far, off)
-        a.q = a.q - self.on(line) * self.sign() * self.size * 2 * line.width * longer
+        a.q = a.q - self.on(line) * self.sign() * self.size * 3 * line.width * longer
 
 
 class Contact(Cause):
@@ -187,7 +187,7 @@ class Contact(Cause):
     says = "a ball of tissue is pressed in beyond some angle (Hertz's power of 3/2)"
 
     def ask(self, line: Line, m: Mechanism, a: Ask) -> None:
-        a.wall = self.on(line) * 4 * self.size / (1.02 - self.size)
+        a.wall = self.on(line) * 12 * self.size / (1.02 - self.size)
         a.wall_at, a.wall_side = float(self.rng().uniform(0.25, 0.65)) * m.limit, self.sign()
 
 

@@ -105,15 +105,15 @@ class CountedRows(Cause):
 
 class WindowHops(Cause):
     id, limits = "window_hops", ranges.WINDOW
-    says = "when the tracker's window hops after the marker, the next rows are counted from its old corner"
+    says = "a tracker's window hops after the marker in the sensor's steps, and its corner is believed to be unrounded"
     needs_camera = True
 
     def picture(self, line: Line, part: Part, times: FloatArray, seen: FloatArray, view: View) -> FloatArray:
-        out, rows, corner = seen.copy(), int(self.rng().integers(1, 3)), seen[0]
+        out, room, corner = seen.copy(), float(self.rng().uniform(10.0, 50.0)), seen[0]
         for k in range(seen.shape[0]):
-            if np.hypot(*(seen[k] - corner)) > self.size:
-                out[k : k + rows] -= seen[k] - corner
+            if np.max(np.abs(seen[k] - corner)) > room:
                 corner = seen[k]
+            out[k] += np.mod(corner, self.size) - 0.5 * self.size
         return out if self.there(line, part) else seen
 
 
@@ -125,7 +125,7 @@ class InnovationGate(Cause):
         if not self.there(line, part) or pick.size < 2:
             return pick
         steps = np.linalg.norm(np.diff(values, axis=0), axis=1)
-        most, patience = (1 - self.size) * float(np.quantile(steps, 0.98)), int(self.rng().integers(3, 8))
+        most, patience = (1.02 - self.size) * float(steps.max()), int(self.rng().integers(3, 8))
         out, last, refused = pick.copy(), 0, 0
         for k in range(1, pick.size):
             if np.linalg.norm(values[k] - values[last]) > most and refused < patience:
