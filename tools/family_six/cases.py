@@ -102,4 +102,7 @@ def _motion(
     return lay(parts, m.reach, m.width, m.slope(), m.turn), motions
 
 
-__all__ = ["LISTED", "MECHANISMS", "NOMINAL", "SHARES", "UNLISTED", "Case", "draw", "early_rest", "measure", "plan"]
+__all__ = [
+    "FAINTEST", "LISTED", "MECHANISMS", "NOMINAL", "SHARES", "UNLISTED", "Case", "draw", "early_rest", "healthy_rest",
+    "measure", "plan", "strength",
+]  # fmt: skip

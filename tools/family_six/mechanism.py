@@ -40,7 +40,8 @@ class Ask:
     @property
     def plain(self) -> bool:
         """Whether the branches are the healthy ones."""
-        return all(np.ndim(v) == 0 and v == w for v, w in ((self.rub, 1), (self.push, 0), (self.law, 0), (self.wall, 0)))
+        healthy = ((self.rub, 1.0), (self.push, 0.0), (self.law, 0.0), (self.wall, 0.0))
+        return all(np.ndim(v) == 0 and v == w for v, w in healthy)
 
 
 def asked(d: Any) -> Ask:

@@ -35,7 +35,7 @@ def calibration(rng: np.random.Generator, reach: float, width: float, seconds: f
 
 
 def morse(rng: np.random.Generator, reach: float, width: float, seconds: float) -> FloatArray:
-    """Keyed: short and long presses from one level to another, words at other levels, dots and dashes unevenly timed."""
+    """Keyed: short and long presses from one level to another, word after word at other levels."""
     moves: list[Move] = []
     here, spent, unit = 0.0, 0.0, float(rng.uniform(0.2, 0.35))
     while spent < seconds:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from tools.family import work
-from tools.family_six import cases
 from tools.family_four import files
+from tools.family_six import cases
 
 
 def one(seed: int, index: int, kind: str, ids: tuple[str, ...], out: Path, truths: Path) -> str:

@@ -18,7 +18,7 @@ class Encoder(Cause):
         turned = np.mod(q / line.turn + phase, 1.0)
         saw = np.interp(turned, [0.0, 1 - seam, 1.0], [-1.0, 1.0, -1.0])
         saw = saw - np.interp(np.mod(phase, 1.0), [0.0, 1 - seam, 1.0], [-1.0, 1.0, -1.0])
-        return q + self.on(line) * self.sign() * 2 * self.size * line.turn * saw
+        return np.asarray(q + self.on(line) * self.sign() * 2 * self.size * line.turn * saw)
 
 
 class SmoothOnset(Cause):

@@ -86,7 +86,7 @@ class ClockRate(Cause):
     def stamps(self, line: Line, part: Part, arrival: FloatArray) -> FloatArray:
         since = arrival - arrival[0]
         off = self.size * (since - 0.3 * 12.0 * (1 - np.exp(-since / 12.0)))
-        return arrival + self.sign() * off * self.there(line, part)
+        return np.asarray(arrival + self.sign() * off * self.there(line, part))
 
 
 class Held(Cause):
@@ -96,10 +96,9 @@ class Held(Cause):
     def picks(self, line: Line, part: Part, pick: Picks, values: FloatArray) -> Picks:
         if not self.there(line, part):
             return pick
-        rate = 1 - self.size
-        at = np.arange(pick.size)
-        held = np.ceil(np.floor(at * rate + 1e-9) / rate - 1e-9).astype(np.intp)
-        return np.asarray(pick[np.clip(np.minimum(held, at), 0, pick.size - 1)])
+        rate, phase, at = 1 - self.size, float(self.rng().uniform(0.1, 0.9)), np.arange(pick.size)
+        held = np.ceil((np.floor(at * rate + phase) - phase) / rate - 1e-9).astype(np.intp)
+        return np.asarray(pick[np.clip(held, 0, at)])
 
 
 EVERY = (Uneven, Static, Direction, Shift, Distortion, Delay, Jitter, ClockRate, Held)

@@ -4,8 +4,23 @@ import numpy as np
 
 from tools.family_six import ranges
 from tools.family_six.causes.base import (
-    STEP, Ask, Cause, FloatArray, Line, Mechanism, Part, Picks, Scene, View, axis, follow, gates, play, rising, swings,
-)  # fmt: skip
+    STEP,
+    Ask,
+    Cause,
+    FloatArray,
+    Line,
+    Mechanism,
+    Part,
+    Picks,
+    Scene,
+    View,
+    axis,
+    follow,
+    gates,
+    play,
+    rising,
+    swings,
+)
 
 
 class HuntingServo(Cause):
@@ -143,7 +158,7 @@ class OtherEye(Cause):
     def picture(self, line: Line, part: Part, times: FloatArray, seen: FloatArray, view: View) -> FloatArray:
         rng = self.rng()
         other = line.at(gates(rng, line.t, (0.3, 2.0), (2.0, 8.0)), times) * self.gate(line, times)
-        return seen + other[:, None] * self.size * np.array([self.sign(), float(rng.uniform(-0.1, 0.1))])
+        return np.asarray(seen + other[:, None] * self.size * np.array([self.sign(), float(rng.uniform(-0.1, 0.1))]))
 
 
 class PanningAssistant(Cause):
@@ -168,7 +183,7 @@ class FoggingLens(Cause):
         rng = self.rng()
         period, phase, way = float(rng.uniform(8.0, 25.0)), float(rng.random()), float(rng.uniform(0, 6.28))
         fog = np.mod(times / period + phase, 1.0) ** 1.5 * self.gate(line, times)
-        return seen + self.size * fog[:, None] * np.array([np.cos(way), np.sin(way)])
+        return np.asarray(seen + self.size * fog[:, None] * np.array([np.cos(way), np.sin(way)]))
 
 
 class NtpSlew(Cause):
@@ -207,7 +222,9 @@ class LabelSwitch(Cause):
             named = 1.0 if s > place + slack else 0.0 if s < place - slack else named
             on[k] = named
         way = float(rng.uniform(0, 6.28))
-        return seen + (on * self.gate(line, times) * self.size)[:, None] * np.array([np.cos(way), np.sin(way)])
+        return np.asarray(
+            seen + (on * self.gate(line, times) * self.size)[:, None] * np.array([np.cos(way), np.sin(way)])
+        )
 
 
 class BeatingCapture(Cause):
@@ -218,7 +235,7 @@ class BeatingCapture(Cause):
         rng = self.rng()
         period, phase = float(rng.uniform(1.5, 8.0)), float(rng.random())
         frame = float(np.median(np.diff(times)))
-        return -self.gate(line, times) * self.size * frame * np.mod(times / period + phase, 1.0)
+        return np.asarray(-self.gate(line, times) * self.size * frame * np.mod(times / period + phase, 1.0))
 
 
 EVERY = (

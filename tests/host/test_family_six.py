@@ -1,0 +1,178 @@
+"""The sixth sealed family: its mechanisms by their equations, causes by what they do, files by the formats."""
+
+import math
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from tools.family import seal
+from tools.family_four import files
+from tools.family_four.plant import Plant, carried, logged, show
+from tools.family_six import cases, mechanisms, motion
+from tools.family_six.causes import LISTED, NOMINAL, UNLISTED
+from tools.family_six.mechanism import Ask, held, parted
+from tools.family_three import camera, nominal
+from tools.family_three.line import lay
+from tools.family_two.motion import STEP
+
+FAMILY = Path(__file__).parents[2] / "tools" / "family_six"
+SEED = 3  # never a reserved one
+LONG = {"calibration": motion.calibration, **motion.MOTIONS}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short():
+    """Recordings of some 12 s, calibrations of 45."""
+    cut = {n: (lambda rng, reach, width, _, make=make: make(rng, reach, width, 12.0)) for n, make in LONG.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(motion, "calibration", lambda rng, reach, width, _: LONG["calibration"](rng, reach, width, 45.0))
+        patch.setattr(motion, "MOTIONS", {name: cut[name] for name in motion.MOTIONS})
+        patch.setattr(nominal, "MOST_FRAMES", 600)
+        yield
+
+
+@pytest.fixture(scope="module")
+def watched():
+    """A section under a camera with all else moving, on a line that every cause can act on."""
+    m, paths = mechanisms.Sleeve(np.random.default_rng(8)), []
+    for name, make in (("calibration", "calibration"), ("test-1", "trills")):
+        q = LONG[make](np.random.default_rng(8), m.reach, m.width, 20.0)
+        t = np.arange(q.size) * STEP
+        others = {"translation_mm": 3 * np.sin(t / 2), "rotation_deg": 6 * np.sin(0.7 * t), "wrist_deg": 40 * np.sin(t)}
+        paths.append((name, q, others | {"load_mNm": 25 - 25 * np.cos(t)}, np.arange(0.25, t[-1] - 0.2, 0.04)))
+    view = camera.draw(np.random.default_rng(8), False, m.farthest())
+    plant, line = Plant(m, view, 0.08), lay(paths, m.reach, m.width, m.slope(), m.turn)
+    return plant, line, show(plant, line, ())
+
+
+@pytest.mark.parametrize("name", cases.MECHANISMS)
+def test_a_healthy_mechanism_is_a_plain_hysteresis(name, monkeypatch):
+    """A width that depends on place alone and a smooth law, fitted to the noisy calibration, tell an unseen motion."""
+    monkeypatch.setattr(cases, "MECHANISMS", {name: cases.MECHANISMS[name]})
+    case = cases.draw(SEED, 20, "none", ())
+    missed = carried(case.plant, case.line, case.noise)
+    assert math.hypot(1, missed / case.noise) < 1.1 and cases.healthy_rest(case) < 0.3 * case.noise
+
+
+@pytest.mark.parametrize("name", cases.MECHANISMS)
+def test_no_law_folds_back(name):
+    """Branches rise and lie apart; each place found, pushed, bent or held back, is where the balance has it."""
+    for seed in range(2):
+        m = cases.MECHANISMS[name](np.random.default_rng(seed))
+        up, down = m.need(m.xs, 1.0), m.need(m.xs, -1.0)
+        assert np.all(np.diff(up) > 0) and np.all(np.diff(down) > 0) and np.all(up > down)
+        assert m.width == pytest.approx(m.width_deg / m.slope(), rel=0.25) and m.farthest() <= 1.001 * m.limit
+        q, one = 0.9 * m.reach * np.sin(np.arange(0, 6, 0.02)), np.ones(300)
+        for a in (Ask(q, rub=1.4 * one), Ask(q, push=-0.2 * one), Ask(q, law=0.1 * one), Ask(q, law=-0.1 * one)):
+            for way in (1.0, -1.0):
+                x = m.inverted(a, way)
+                near = [m.need(x + e, way, a.rub, a.push, a.law) for e in (-0.01, 0.01)]
+                assert np.mean((near[0] <= q) & (near[1] >= q)) > 0.99
+        walled, free = (m.inverted(Ask(q, wall=w * one, wall_at=0.4 * m.limit), 1.0) for w in (9.0, 0.0))
+        assert np.allclose(walled[free < 0.4 * m.limit], free[free < 0.4 * m.limit]) and np.max(free - walled) > 0.5
+
+
+def test_equations_by_hand():
+    rng, f = np.random.default_rng(6), 0.05
+    b = mechanisms.Bellows(rng)
+    p = (b.spring(20.0) + f * b.pressed(20.0)) / (1 - b.area * 20 / b.limit)
+    gas = b.raw(20.0, f, 0.0, 0.0) / b.stroke - 20 / b.limit - b.swell * (20 / b.limit) ** 2 - b.bulges * p
+    assert b.outside * b.dead == pytest.approx((b.outside + p) * (b.dead - gas))  # Boyle
+    s = mechanisms.Sleeve(rng)
+    u = 30.0 / s.limit
+    end = (s.spring(30.0) + 0.1) / (1 - s.closes * u * u)
+    along = solve_ivp(lambda _, y: f * (s.clings * s.pressed(30.0) + s.wraps * u * y), (0, 1), [end], rtol=1e-9)
+    travel = u - s.closes * u**3 / 3 + s.gives * (end + along.y[0, -1]) / 2
+    assert s.raw(30.0, f, 0.1, 0.0) == pytest.approx(s.stroke * travel, rel=1e-6)
+    v = mechanisms.Leaves(rng)
+    v.gives, a = 0.0, math.radians(30.0)  # the chord of an arc whose radius is shorter by the wire's distance
+    radius = v.slender * v.off / a
+    assert v.raw(30.0, 0, 0, 0) == pytest.approx(v.slender * v.off - 2 * (radius - v.off) * math.sin(a / 2))
+    y = mechanisms.Yoke(rng)
+    y.winds = 0.0
+    crank = y.raw(np.array([y.limit, 10.0]), f, 0.0, 0.0)
+    ratio = math.tan(math.radians(10.0)) / math.tan(math.radians(y.limit))
+    assert np.sin(np.radians(crank[1])) == pytest.approx(ratio * np.sin(np.radians(crank[0])))
+    w = mechanisms.Wedge(rng)
+    lift = w.lever * math.sin(math.radians(w.limit))
+    flank = quad(lambda z: lift / (w.steep * (1 + w.ground * z)), 0, 1)[0]
+    force = (w.weight + 1) / math.cos(math.radians(w.limit)) * math.tan(math.atan(w.steep * (1 + w.ground)))
+    assert w.raw(w.limit, 0.0, 0.0, 0.0) == pytest.approx(flank + w.gives * force)
+    c = mechanisms.Capstan(rng)
+    c.stretches, z = 0.0, (c.hangs + f) / c.tight
+    strain = sum(quad(lambda r, way=way: r / (1 + way * r), 0, z)[0] for way in (1, -1))  # taut and slack side, Euler
+    assert c.raw(0.0, f, 0.0, 0.0) == pytest.approx(-0.3 * c.ratio * c.creeps * c.limit * math.log(1 - z * z))
+    assert strain == pytest.approx(-math.log(1 - z * z))
+
+
+def test_what_holds_the_sliding():
+    up, one = np.minimum(np.arange(3000) * STEP, 3.0), np.ones(3000)
+    late = held(up - 1, up + 1, Ask(up, lip=0.5 * one))
+    assert late[600] < up[600] - 1 and late[1490] == pytest.approx(up[1490] - 1)  # later, then caught up
+    assert held(-up - 1, 1 - up, Ask(up, lip=0.5 * one, lip_way=-1.0)) == pytest.approx(-late)
+    jumps = np.diff(held(up - 1, up + 1, Ask(up, ridges=0.3 * one, pitch=0.7, glides=100.0)))
+    assert 0.1 < np.max(jumps) < 0.31 and np.sum(jumps > 0.05) > 5
+    soft = parted(up - 1, up + 1, 0.8 * one)
+    assert soft[100] > 0.001 and abs(soft[-1] - 2.0) < 0.02  # begins sooner, ends on the same branch
+
+
+@pytest.mark.parametrize("name", [*LISTED, *UNLISTED])
+def test_every_cause_changes_something_only_when_it_is_there(name, watched):
+    plant, line, plain = watched
+    kind = LISTED.get(name) or UNLISTED[name]
+    assert not (kind.moves and kind.may_start)  # what recalibration closes would be a part of what is calibrated
+    cause = kind(0.7 * kind.limits.hi, "test", 12)
+    bent, none = (show(plant, line, (c,)) for c in (cause, kind(1e-9, "test", 12)))
+    for a, b, within in ((bent[0], plain[0], 1e-3), (none[1], plain[1], 2e-2)):
+        assert a.values == pytest.approx(b.values, abs=within) and a.arrival == pytest.approx(b.arrival, abs=1e-6)
+    off = logged(line, (cause,)) - line.q
+    assert np.all(off[: line.parts[0].count] == 0)
+    changed, late = bent[1].values - plain[1].values, bent[1].arrival - plain[1].arrival
+    assert np.max(np.abs(changed)) > 0.2 or np.max(np.abs(late)) > 1e-3 or np.max(np.abs(off)) > 1e-3
+    assert np.all(np.diff(bent[1].arrival) > 0) and np.all(np.isfinite(bent[1].values))
+
+
+def test_the_plan_has_its_shares_and_every_id():
+    plan = cases.plan(SEED, 300)
+    assert Counter(kind for kind, _ in plan) == cases.SHARES and len(LISTED) == 25 and len(UNLISTED) >= 16
+    assert {i[0] for k, i in plan if k in ("single", "unknown", "nominal")} == {*LISTED, *UNLISTED, *NOMINAL}
+    others = ("", "_two", "_three", "_four", "_five")
+    text = "".join((FAMILY.parent / f"family{n}" / "BRIEF.md").read_text() for n in others)
+    assert not [w for w in (*UNLISTED, *motion.MOTIONS, *cases.MECHANISMS) if f"| {w} |" in text or f"{w} (" in text]
+
+
+def test_recordings_are_as_the_formats_say_and_the_same_each_time(tmp_path):
+    for i, (kind, ids) in enumerate([("single", ("registration.shift",)), ("unknown", ("stroke_ratchet",))]):
+        case = cases.draw(SEED, i, kind, ids)
+        assert cases.strength(case.causes[0], case.strengths[0]) >= cases.FAINTEST
+        truth = files.write(case, SEED, tmp_path, tmp_path / "truth")
+        rig = tomllib.loads((tmp_path / "cases" / case.name / "rig.toml").read_text())
+        motors = [*(tmp_path / "cases" / case.name).glob("*/motor.csv"), tmp_path / "unseen" / case.name / "motor.csv"]
+        assert len(motors) == len(truth["tests"]) + 2 and truth["verdict"] == ("unknown" if i else "effect")
+        for path in motors:
+            names, motor = path.read_text().split("\n", 1)[0], np.loadtxt(path, delimiter=",", skiprows=1)
+            assert names.startswith(f"t_s,q_{rig['actuator']['unit']}") and np.all(np.diff(motor[:, 0]) > 0)
+            assert np.max(np.abs(motor[:, 1])) <= rig["actuator"]["range"][1]
+    files.write(cases.draw(SEED, i, kind, ids), SEED, tmp_path / "b", tmp_path / "b" / "truth")
+    for path in (tmp_path / "b").rglob("*.*"):
+        assert path.read_bytes() == (tmp_path / path.relative_to(tmp_path / "b")).read_bytes()
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_motions_turn_round_often_and_stay_inside(name):
+    q = LONG[name](np.random.default_rng(4), 5.0, 1.0, 40.0)
+    assert np.max(np.abs(q)) <= 5.0 and 39.0 < q.size * STEP < 41.0 and np.max(np.abs(np.diff(q))) < 0.06
+    assert np.sum(np.diff(np.sign(np.diff(q)[np.abs(np.diff(q)) > 1e-9])) != 0) >= 4
+
+
+def test_the_seal_holds():
+    """The generator is what it was when it was sealed; a change needs new seeds and a new family."""
+    every = "".join(path.read_text() for path in FAMILY.rglob("*.py"))
+    assert "import tautline" not in every and "from tautline" not in every
+    sealed = dict(line.split(None, 1) for line in (FAMILY / "SEAL.txt").read_text().splitlines() if line.strip())
+    assert sealed["sources"] == seal.sources(FAMILY)
+    assert sealed["plan"] == seal.planned(int(sealed["seed"]), int(sealed["cases"]), cases.plan)
