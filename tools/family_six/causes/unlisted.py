@@ -213,18 +213,16 @@ class LabelSwitch(Cause):
 
     def picture(self, line: Line, part: Part, times: FloatArray, seen: FloatArray, view: View) -> FloatArray:
         rng = self.rng()
-        place, slack = float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.01, 0.06))
-        main = np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[2][0]
-        along = (seen - seen.mean(axis=0)) @ main * self.sign(1)
-        low, high = np.quantile(along, [0.02, 0.98])
-        on, named = np.zeros(along.size), 0.0
-        for k, s in enumerate(((along - low) / (high - low)).tolist()):
-            named = 1.0 if s > place + slack else 0.0 if s < place - slack else named
+        place = float(rng.uniform(-0.5, 0.5)) * line.gain * line.reach + np.array([-3.0, 3.0])  # deg
+        here, there = camera.picture(view, place, Scene.still(2))
+        slack, on, named = float(rng.uniform(0.1, 0.5)), np.zeros(times.size), 0.0
+        along = (seen - here) @ (there - here) / float((there - here) @ (there - here)) - 0.5
+        for k, s in enumerate(along.tolist()):
+            named = 1.0 if s > slack else 0.0 if s < -slack else named
             on[k] = named
         way = float(rng.uniform(0, 6.28))
-        return np.asarray(
-            seen + (on * self.gate(line, times) * self.size)[:, None] * np.array([np.cos(way), np.sin(way)])
-        )
+        off = self.size * np.array([np.cos(way), np.sin(way)])
+        return np.asarray(seen + (on * self.gate(line, times))[:, None] * off)
 
 
 class BeatingCapture(Cause):
