@@ -21,6 +21,7 @@ from tools.family_six.causes.base import (
     rising,
     swings,
 )
+from tools.family_three import camera
 
 
 class HuntingServo(Cause):
@@ -168,7 +169,7 @@ class PanningAssistant(Cause):
     def picture(self, line: Line, part: Part, times: FloatArray, seen: FloatArray, view: View) -> FloatArray:
         late, turned = float(self.rng().uniform(1.0, 4.0)), np.zeros(2)
         out, shares = seen.copy(), -np.expm1(-np.diff(times, prepend=times[0]) / late)
-        middle = seen.mean(axis=0)
+        middle = camera.picture(view, np.zeros(1), Scene.still(1))[0]
         for k, share in enumerate(shares.tolist()):
             turned = turned + share * (seen[k] - middle - turned)
             out[k] -= self.size * turned
