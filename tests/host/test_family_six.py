@@ -27,9 +27,8 @@ NAMES = ("test-1", "test-2", "test-3", "unseen")
 
 @pytest.fixture(scope="module", autouse=True)
 def short():
-    """Recordings of some 12 s, calibrations of 45."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cases, "SECONDS", {"calibration": (45.0, 45.0)} | {n: (12.0, 12.0) for n in NAMES})
+        patch.setattr(cases, "SECONDS", {"calibration": (45.0, 45.0)} | dict.fromkeys(NAMES, (12.0, 12.0)))
         patch.setattr(nominal, "MOST_FRAMES", 600)
         yield
 
@@ -43,8 +42,8 @@ def watched():
         t = np.arange(q.size) * STEP
         others = {"translation_mm": 3 * np.sin(t / 2), "rotation_deg": 6 * np.sin(0.7 * t), "wrist_deg": 40 * np.sin(t)}
         paths.append((name, q, others | {"load_mNm": 25 - 25 * np.cos(t)}, np.arange(0.25, t[-1] - 0.2, 0.04)))
-    view = camera.draw(np.random.default_rng(8), False, m.farthest())
-    plant, line = Plant(m, view, 0.08), lay(paths, m.reach, m.width, m.slope(), m.turn)
+    plant = Plant(m, camera.draw(np.random.default_rng(8), False, m.farthest()), 0.08)
+    line = lay(paths, m.reach, m.width, m.slope(), m.turn)
     return plant, line, show(plant, line, ())
 
 
@@ -68,44 +67,36 @@ def test_no_law_folds_back(name):
         q, one = 0.9 * m.reach * np.sin(np.arange(0, 6, 0.02)), np.ones(300)
         for a in (Ask(q, rub=1.4 * one), Ask(q, push=-0.2 * one), Ask(q, law=0.1 * one), Ask(q, law=-0.1 * one)):
             for way in (1.0, -1.0):
-                x = m.inverted(a, way)
-                near = [m.need(x + e, way, a.rub, a.push, a.law) for e in (-0.01, 0.01)]
-                assert np.mean((near[0] <= q) & (near[1] >= q)) > 0.99
+                low, high = (m.need(m.inverted(a, way) + e, way, a.rub, a.push, a.law) for e in (-0.01, 0.01))
+                assert np.mean((low <= q) & (high >= q)) > 0.99
         walled, free = (m.inverted(Ask(q, wall=w * one, wall_at=0.4 * m.limit), 1.0) for w in (9.0, 0.0))
         assert np.allclose(walled[free < 0.4 * m.limit], free[free < 0.4 * m.limit]) and np.max(free - walled) > 0.5
 
 
 def test_equations_by_hand():
     rng, f = np.random.default_rng(6), 0.05
-    b = mechanisms.Bellows(rng)
+    b, s, v, y, w, c = (kind(rng) for kind in cases.MECHANISMS.values())
     p = (b.spring(20.0) + f * b.pressed(20.0)) / (1 - b.area * 20 / b.limit)
     gas = b.raw(20.0, f, 0.0, 0.0) / b.stroke - 20 / b.limit - b.swell * (20 / b.limit) ** 2 - b.bulges * p
     assert b.outside * b.dead == pytest.approx((b.outside + p) * (b.dead - gas))  # Boyle
-    s = mechanisms.Sleeve(rng)
     u = 30.0 / s.limit
     end = (s.spring(30.0) + 0.1) / (1 - s.closes * u * u)
     along = solve_ivp(lambda _, y: f * (s.clings * s.pressed(30.0) + s.wraps * u * y), (0, 1), [end], rtol=1e-9)
     travel = u - s.closes * u**3 / 3 + s.gives * (end + along.y[0, -1]) / 2
     assert s.raw(30.0, f, 0.1, 0.0) == pytest.approx(s.stroke * travel, rel=1e-6)
-    v = mechanisms.Leaves(rng)
     v.gives, a = 0.0, math.radians(30.0)  # the chord of an arc whose radius is shorter by the wire's distance
     radius = v.slender * v.off / a
     assert v.raw(30.0, 0, 0, 0) == pytest.approx(v.slender * v.off - 2 * (radius - v.off) * math.sin(a / 2))
-    y = mechanisms.Yoke(rng)
     y.winds = 0.0
-    crank = y.raw(np.array([y.limit, 10.0]), f, 0.0, 0.0)
-    ratio = math.tan(math.radians(10.0)) / math.tan(math.radians(y.limit))
-    assert np.sin(np.radians(crank[1])) == pytest.approx(ratio * np.sin(np.radians(crank[0])))
-    w = mechanisms.Wedge(rng)
+    crank = np.sin(np.radians(y.raw(np.array([y.limit, 10.0]), f, 0.0, 0.0)))
+    assert crank[1] / crank[0] == pytest.approx(math.tan(math.radians(10.0)) / math.tan(math.radians(y.limit)))
     lift = w.lever * math.sin(math.radians(w.limit))
     flank = quad(lambda z: lift / (w.steep * (1 + w.ground * z)), 0, 1)[0]
-    force = (w.weight + 1) / math.cos(math.radians(w.limit)) * math.tan(math.atan(w.steep * (1 + w.ground)))
+    force = (w.weight + 1) / math.cos(math.radians(w.limit)) * w.steep * (1 + w.ground)
     assert w.raw(w.limit, 0.0, 0.0, 0.0) == pytest.approx(flank + w.gives * force)
-    c = mechanisms.Capstan(rng)
     c.stretches, z = 0.0, (c.hangs + f) / c.tight
     strain = sum(quad(lambda r, way=way: r / (1 + way * r), 0, z)[0] for way in (1, -1))  # taut and slack side, Euler
-    assert c.raw(0.0, f, 0.0, 0.0) == pytest.approx(-0.3 * c.ratio * c.creeps * c.limit * math.log(1 - z * z))
-    assert strain == pytest.approx(-math.log(1 - z * z))
+    assert c.raw(0.0, f, 0.0, 0.0) == pytest.approx(0.3 * c.ratio * c.creeps * c.limit * strain)
 
 
 def test_what_holds_the_sliding():
@@ -128,19 +119,19 @@ def test_every_cause_changes_something_only_when_it_is_there(name, watched):
     bent, none = (show(plant, line, (c,)) for c in (cause, kind(1e-9, "test", 12)))
     for a, b, within in ((bent[0], plain[0], 1e-3), (none[1], plain[1], 2e-2)):
         assert a.values == pytest.approx(b.values, abs=within) and a.arrival == pytest.approx(b.arrival, abs=1e-6)
-    off = logged(line, (cause,)) - line.q
-    assert np.all(off[: line.parts[0].count] == 0)
-    changed, late = bent[1].values - plain[1].values, bent[1].arrival - plain[1].arrival
-    assert np.max(np.abs(changed)) > 0.2 or np.max(np.abs(late)) > 1e-3 or np.max(np.abs(off)) > 1e-3
-    assert np.all(np.diff(bent[1].arrival) > 0) and np.all(np.isfinite(bent[1].values))
+    off, late = logged(line, (cause,)) - line.q, bent[1].arrival - plain[1].arrival
+    assert np.all(off[: line.parts[0].count] == 0) and np.all(np.isfinite(bent[1].values))
+    changed = np.max(np.abs(bent[1].values - plain[1].values)) > 0.2
+    assert (changed or np.max(np.abs(late)) > 1e-3 or np.max(np.abs(off)) > 1e-3) and np.all(np.diff(late) > -0.04)
 
 
 def test_the_plan_has_its_shares_and_every_id():
     plan = cases.plan(SEED, 300)
     assert Counter(kind for kind, _ in plan) == cases.SHARES and len(LISTED) == 25 and len(UNLISTED) >= 16
     assert {i[0] for k, i in plan if k in ("single", "unknown", "nominal")} == {*LISTED, *UNLISTED, *NOMINAL}
-    others = ("", "_two", "_three", "_four", "_five")
-    text = "".join((FAMILY.parent / f"family{n}" / "BRIEF.md").read_text() for n in others)
+    text = "".join(
+        (FAMILY.parent / f"family{n}/BRIEF.md").read_text() for n in ("", "_two", "_three", "_four", "_five")
+    )
     assert not [w for w in (*UNLISTED, *motion.MOTIONS, *cases.MECHANISMS) if f"| {w} |" in text or f"{w} (" in text]
 
 
@@ -153,18 +144,18 @@ def test_recordings_are_as_the_formats_say_and_the_same_each_time(tmp_path):
     motors = list(where.glob("*/case-001/**/motor.csv"))
     assert len(motors) == len(truth["tests"]) + 2 and truth["verdict"] == "unknown"
     for path in motors:
-        names, motor = path.read_text().split("\n", 1)[0], np.loadtxt(path, delimiter=",", skiprows=1)
-        assert names.startswith(f"t_s,q_{rig['unit']}") and np.all(np.diff(motor[:, 0]) > 0)
+        motor = np.loadtxt(path, delimiter=",", skiprows=1)
+        assert path.read_text().startswith(f"t_s,q_{rig['unit']}") and np.all(np.diff(motor[:, 0]) > 0)
         assert np.max(np.abs(motor[:, 1])) <= rig["range"][1]
     for path in where.rglob("*.*"):
         assert path.read_bytes() == (tmp_path / "a" / path.relative_to(where)).read_bytes()
 
 
-@pytest.mark.parametrize("name", LONG)
-def test_motions_turn_round_often_and_stay_inside(name):
-    q = LONG[name](np.random.default_rng(4), 5.0, 1.0, 40.0)
-    assert np.max(np.abs(q)) <= 5.0 and 39.0 < q.size * STEP < 41.0 and np.max(np.abs(np.diff(q))) < 0.06
-    assert np.sum(np.diff(np.sign(np.diff(q)[np.abs(np.diff(q)) > 1e-9])) != 0) >= 4
+def test_motions_turn_round_often_and_stay_inside():
+    for make in LONG.values():
+        q = make(np.random.default_rng(4), 5.0, 1.0, 40.0)
+        assert np.max(np.abs(q)) <= 5.0 and 39.0 < q.size * STEP < 41.0 and np.max(np.abs(np.diff(q))) < 0.06
+        assert np.sum(np.diff(np.sign(np.diff(q)[np.abs(np.diff(q)) > 1e-9])) != 0) >= 4
 
 
 def test_the_seal_holds():

@@ -51,7 +51,7 @@ class ServoOvershoot(Cause):
 
     def ask(self, line: Line, m: Mechanism, a: Ask) -> None:
         rng = self.rng()
-        rung = swings(a.q, float(rng.uniform(1.0, 3.5)), float(rng.uniform(0.1, 0.3)))
+        rung = swings(a.q, float(rng.uniform(1.2, 4.0)), float(rng.uniform(0.2, 0.45)))
         a.q = a.q + self.on(line) * self.size * (rung - a.q)
 
 
