@@ -143,7 +143,6 @@ def test_recordings_are_as_the_formats_say_and_the_same_each_time(tmp_path):
 
 
 def test_the_seal_holds():
-    """The generator is what it was when it was sealed; a change needs new seeds and a new family."""
     every = "".join(path.read_text() for path in FAMILY.rglob("*.py"))
     assert "import tautline" not in every and "from tautline" not in every
     sealed = dict(line.split(None, 1) for line in (FAMILY / "SEAL.txt").read_text().splitlines() if line.strip())

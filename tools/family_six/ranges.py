@@ -37,9 +37,9 @@ WINDOW = Range(0.3, 32.0, "px", "Regions of interest of machine-vision sensors, 
 GATE = Range(0.02, 0.95, "of the fastest motions that are refused", "Gates on innovations (Bar-Shalom 2001); " + MADE)
 EYES = Range(0.3, 30.0, "px of disparity", "Stereo endoscopes of 4 to 6 mm base; rounded outwards")
 PANS = Range(0.003, 0.5, "of the marker's way", "Camera assistants and tracking endoscope holders; " + MADE)
-FOGS = Range(0.1, 12.0, "px", "Fogged laparoscopes, wiped each 10 to 40 s (Lawrentschuk et al. 2010); px " + MADE)
-SLEWS = Range(0.002, 0.12, "s", "chrony and ntpd slew by 0.05 to 1 % until the offset is gone; rounded outwards")
-YIELDS = Range(0.03, 5.0, "deg", "Abdominal wall about ports, relaxing in 1 to 8 s (Fung 1993); deg " + MADE)
+FOGS = Range(0.1, 12.0, "px", "Fogged laparoscopes, wiped each 8 to 25 s (Lawrentschuk et al. 2010); px " + MADE)
+SLEWS = Range(0.002, 0.12, "s", "chrony slews by up to 8 %, ntpd by 0.05 %, until the offset is gone; sizes rounded outwards")
+YIELDS = Range(0.03, 5.0, "deg", "Abdominal wall about ports, relaxing in 1 to 5 s (Fung 1993); deg " + MADE)
 LABELS = Range(0.2, 25.0, "px", "Corners of square markers that swap labels; px " + MADE)
 TEARS = Range(0.1, 3.0, "frames", "Screen capture without vertical synchronisation: up to two frames, rounded outwards")
 
