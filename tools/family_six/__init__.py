@@ -1,0 +1,1 @@
+"""The sixth sealed family of cases: see BRIEF.md."""
