@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tautline.diagnosis.scatter import RIVALS, Scatter, _Joined, compare_explanations, frames
+from tautline.diagnosis.explanations import Joined, frames
+from tautline.diagnosis.scatter import RIVALS, Scatter, compare_explanations
 
 FLOOR, RATE_HZ = 0.05, 25.0
 JITTER, STICK = "acquisition.jitter", "transmission.stick_slip"
@@ -142,7 +143,7 @@ def test_the_likeliest_of_a_grid_is_found_though_not_all_of_it_is_tried(make):
         return tried[best], float(scales[best])
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(_Joined, "likeliest", all_tried)
+        patched.setattr(Joined, "likeliest", all_tried)
         everywhere = told(np.random.default_rng(3), make)
     assert at.amount == everywhere.amount
     assert all(np.array_equal(at.loss[name], loss) for name, loss in everywhere.loss.items())
