@@ -286,15 +286,16 @@ class _Estimated:
         self, without_components: Array, of_independent: Array, parts: Sequence[Component], changed: float, width: Array
     ) -> Array:
         """(grid,) standard deviation of B, unit of q; in quadrature: what the components add to its variance; the noise
-        of the independent frames; CORRECTS times the components' corrections of B and its change over the session
-        (changed: mean square); the scatter between recordings; and LAW times what speed adds to `width`, B (grid,).
+        of the independent frames; CORRECTS times the rms over the grid of each component's correction of B, and times
+        the rms difference of B's coefficients between slow strokes at the session's end and the session's mean
+        (changed: its square); the scatter between recordings; and LAW times what speed adds to `width`, B (grid,).
         without_components, of_independent: `_nominal_inverse` of all frames and of the independent ones."""
         without, own = self.model.width_sigma(without_components), self.model.width_sigma()
         corrected = sum((np.mean(part.width_shift**2) for part in parts), 0.0)
         independent = self.model.width_sigma(of_independent)
         sigma = np.sqrt(np.maximum(own**2 - without**2, 0.0) + independent**2 + CORRECTS**2 * corrected)
-        between, slower = self._scatter_between_recordings() * width, LAW * self._added_by_speed(width)
-        return np.asarray(np.sqrt(sigma**2 + CORRECTS**2 * changed + between**2 + slower**2))
+        between, by_speed = self._scatter_between_recordings() * width, LAW * self._added_by_speed(width)
+        return np.asarray(np.sqrt(sigma**2 + CORRECTS**2 * changed + between**2 + by_speed**2))
 
     def _total_delay_sigma(self, without_components: Array, of_independent: Array, parts: Sequence[Component]) -> float:
         """Standard deviation of the delay, s, in quadrature: what the components add to its variance, the noise of as

@@ -205,7 +205,8 @@ def _width_sigma_by_unknowns(state: Fitted, gram: Array, size: int) -> Array:
 
 
 def _place_by_friction(state: Fitted, counted: CountedFrames) -> Array:
-    """(counted frames, values of Friction) derivatives of the tip's place p by the friction's values."""
+    """(counted frames, VALUES) derivatives of the tip's place p, unit of q, by each of the friction's values. p starts
+    so far below the motor that it begins on an envelope, as in `PreparedTrack.simulate`."""
     fit, curves = state.fit, state.curves
     native = Play(fit.grid, fit.width(curves), fit.hysteresis).native
     far = 10.0 * float(np.abs(fit.grid).max() + np.ptp(fit.grid))

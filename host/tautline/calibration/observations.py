@@ -120,8 +120,8 @@ class Track:
         )  # type: ignore[return-value]
 
     def at_reference(self, scene_s: Array, reference: tuple[float, float]) -> Mask:
-        """(n,) scene times, s, at which translation (mm) and rotation (deg) are at `reference`, so that the tip follows
-        one curve in the image. All of them for a posed track."""
+        """(n,) Whether translation (mm) and rotation (deg) are at `reference` at each scene time, s, within _STILL_MM
+        and _STILL_DEG, so that the tip follows one curve in the image. True everywhere for a posed track."""
         if self.posed:
             return np.ones(len(scene_s), dtype=bool)
         translation, rotation = self.others_at(scene_s)

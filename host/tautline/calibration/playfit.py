@@ -389,11 +389,12 @@ class PlayFit:
         return free_bending(self.follow, tuple(known.path[0].q.tolist()))
 
     def hold_at_limits(self, curves: Curves, matrix: Array, gradient: Array) -> None:
-        """Changes the normal equations in place so that those effects' values do not move that are at an end of their
-        range which the gradient would take them beyond: sets their rows, columns and gradient to 0."""
+        """Changes the normal equations, matrix (m, m) and gradient (m,) along which the cost falls, in place so that
+        those effects' values do not move that are at an end of their range which the gradient would take them beyond:
+        sets their rows, columns and gradient to 0. What `penalty` adds to the diagonal keeps the system regular."""
         assert self.effects is not None
-        first = len(gradient) - 1 - len(curves.effect_values)
-        ends = first + self.effects.at_ends(curves.effect_values, gradient[first:-1])
+        at = self.layout(curves).effects
+        ends = at.start + self.effects.at_ends(curves.effect_values, gradient[at])
         matrix[ends, :] = matrix[:, ends] = gradient[ends] = 0.0
 
     def begin_smoothing(self, curves: Curves, scale: float) -> None:
@@ -597,8 +598,8 @@ class Fitted:
 
 
 def rms_of_frame_powers(power: Array, scale: float) -> float:
-    """rms residual of frames with mean squared residuals `power` (frames,), each cut at (STRAY scale)^2; infinite
-    without frames."""
+    """rms residual over noise of frames with mean squares `power` (frames,) of their residuals over noise, each cut at
+    (STRAY scale)^2; infinite without frames. scale: the usual residual over noise."""
     return float(np.sqrt(np.mean(np.minimum(power, (STRAY * scale) ** 2)))) if len(power) else np.inf
 
 

@@ -71,9 +71,9 @@ def taut() -> None:
 
 def main() -> None:
     """The entry point of `taut`: runs the command line. An error ends the process with a status of EXIT_STATUS and is
-    printed as one line on stderr; with --json also as an object on stdout, unless the result was printed there already.
-    The environment variable NO_COLOR removes colours; with TAUT_TRACEBACK=1 an unexpected error is raised with its
-    traceback."""
+    printed as one line on stderr (one in the command line itself: below its usage; a closed output: not at all); with
+    --json also as an object on stdout, unless the result was printed there already. The environment variable NO_COLOR
+    removes colours; with TAUT_TRACEBACK=1 an unexpected error is raised with its traceback."""
     said = Said()
     try:
         taut(standalone_mode=False, obj=said, color=False if os.environ.get("NO_COLOR") else None)

@@ -45,7 +45,8 @@ class Image:
 
     @property
     def port(self) -> str:
-        """Name of the port that it is built for, as of `place_of`."""
+        """Its name in the page: of the firmware's port (the chip), and for fewer than four axes their number behind it
+        (`place_of`)."""
         return str(self.fields.port)
 
     def is_whole(self) -> bool:

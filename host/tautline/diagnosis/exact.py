@@ -51,4 +51,4 @@ def chance(log_ratios: Sequence[float]) -> float:
     against a right law: n exp(-largest) for n other hypotheses, as P(ratio > x) <= 1/x for each; 1 if none is positive.
     log_ratios: as `log_likelihood_ratio` gives them."""
     largest = max(log_ratios, default=0.0)
-    return min(1.0, len(log_ratios) * float(np.exp(-max(largest, 0.0)))) if largest > 0.0 else 1.0
+    return min(1.0, len(log_ratios) * float(np.exp(-largest))) if largest > 0.0 else 1.0

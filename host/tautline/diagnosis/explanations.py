@@ -162,9 +162,9 @@ class Joined:
         return np.asarray(np.logaddexp(np.log1p(-_BROAD) + log_density, np.log(_BROAD) + self._broad))
 
     def two_levels(self, residual: Array) -> Array:
-        """(n,) Log-density of residuals (n, k) as Gaussian noise with one variance while the motor drives and one while
-        it rests, for each recording. The variances are the mean squares after outliers are cut, at least floor^2; a
-        broad density is mixed in."""
+        """(n,) Log-density of residuals (n, k) as Gaussian noise with one variance while the play's centre moves and
+        one while it rests, for each recording. The variances are the mean squares after outliers are cut, at least
+        floor^2; a broad density is mixed in."""
         squares = np.sum(residual**2, axis=1)
         variance = np.empty(len(residual))
         for number in np.unique(self._recording):

@@ -156,7 +156,8 @@ def _effect_sentences(document: Mapping[str, Any]) -> str:
 
 
 def _reason_against(document: Mapping[str, Any], name: str) -> str:
-    """The reason why an unknown cause is not the effect `name`, which it resembles; a clause to follow "but"."""
+    """The reason why an unknown cause is not the effect `name`, which it resembles, a clause to follow "but": its
+    amplitude would have to vary, as `says` in `resembles` has it; else it leaves more than it would as the cause."""
     says = next((entry["says"] for entry in document.get("resembles", ()) if entry["id"] == name), "")
     return f"would be another law elsewhere ({says})" if says else "leaves what it could not"
 
@@ -184,8 +185,8 @@ def _alternatives_clause(effect: Mapping[str, Any]) -> str:
 
 def since(document: Mapping[str, Any], part: Mapping[str, Any]) -> str:
     """A phrase, to follow a sentence, that says since when an effect or part of the nominal model (an entry of
-    diagnosis.json) is there. "" where it is there in all of a robot's recordings beside a simulator, which was never
-    calibrated."""
+    diagnosis.json) is there. "" for "calibration" beside a simulator, whose runs stand in for the calibration: the
+    effect is then in all of the robot's recordings."""
     in_robot = "simulator" in document and part["since"] == "calibration"
     return "" if in_robot else _SINCE[part["since"]]
 

@@ -35,10 +35,11 @@ def diagnose_simulator(
     workers: int = 1,
 ) -> Diagnosis:
     """Diagnoses what a simulator lacks: the gap between the robot's recordings and the simulator under the same
-    motions. The simulator runs at a step of time at which it errs by less than the noise. If single effects leave the
-    gap open, all of its parameters are fitted together (joint.py). progress: called with the share that is done, 0 to
-    1, and what is done now. workers: number of processes that simulate side by side; the result does not depend on it.
-    TautError where nothing can be compared or scored, or the simulator fails."""
+    motions. The simulator runs without the error of its steps, unless that is small beside the noise or unknown, or the
+    robot's recordings are likelier with it (`without_step_error`). If the effects found leave the gap open, all of the
+    simulator's parameters are fitted together (joint.py); that answer counts if it surely leaves less. progress: called
+    with the share that is done, 0 to 1, and what is done now. workers: number of processes that simulate side by side;
+    the result does not depend on it. TautError where nothing can be compared or scored, or the simulator fails."""
     progress(0.0, "simulating")
     seen = with_markers(robots, rig, lambda fraction, text: progress(_SIMULATING * fraction, text))
     simulator, step = without_step_error(simulator, seen, rig)

@@ -327,10 +327,10 @@ class Stacked:
         )
 
     def log_likelihood_of_any_gap(self, tells: float, freedom: float, excess: float) -> float:
-        """Log-likelihood of the gap itself if no effect imitates its cause. An unknown share of the blocks holds a
-        misfit of unknown mean power, 1 to exp(WIDEST) times the noise of one of the `tells` numbers that a block tells,
-        floor^2 / tells; it is the mean over a grid of both. tells, freedom, excess, and the constant: as of
-        `log_likelihood`."""
+        """Log-likelihood of the gap itself, the powers that the hypothesis without effects leaves, if its cause is
+        unknown and no effect closes it by imitating that cause. An unknown share of the blocks holds a misfit of
+        unknown mean power, 1 to exp(WIDEST) times the noise of one of the `tells` numbers that a block tells, floor^2 /
+        tells; it is the mean over a grid of both. tells, freedom, excess, and the constant: as of `log_likelihood`."""
         misfits = self.floor2 / tells * np.exp(_GAPS)[:, None]
         by_share = [
             self.log_likelihood(self.power[0], misfits, excess, self.own_misfit, tells, freedom, share)

@@ -96,8 +96,8 @@ def of_videos(
 def _cross_validated_error(view: _View, scored: Mask, places: _Places) -> Array:
     """(scored,) px across the path: what is left of each of the calibration's frames by the error that the other half
     of the calibration shows at its place. The halves are alternate ones of _PARTS parts, as an error of a single pass,
-    such as a codec's, is no error of the place. Where the other half does not show the place, the error by the whole
-    calibration is taken."""
+    such as a codec's, is no error of the place. At places that are wrong by the other half, or beyond its first and
+    last right one, and where the other half tells too few places, the error by the whole calibration is taken."""
     half = np.arange(len(scored)) * _PARTS // len(scored) % 2
     residual = view.across - places.across(view.seen)
     for tested in (half == 0, half == 1):

@@ -68,7 +68,7 @@ def cut(clip: Clip, path: Path) -> Array:
             source.seek(int(clip.first_s / read.time_base), stream=read)
             base = None
             for packet in source.demux(read):
-                if packet.dts is None:
+                if packet.dts is None or packet.pts is None:
                     continue
                 at = float(packet.pts * read.time_base)
                 # Packets come in the order of decoding (dts), so one that is shown later (pts) may come before the

@@ -91,10 +91,11 @@ class Transmission:
         """Positions (elements,) of the elements, with the weighted mean y, for a motor at x; all on the warped axis,
         where B is 1. Each element lies at the same distance `at` from the motor, or at its half width r if that is
         smaller."""
-        common = min(max(y, x - 0.5), x + 0.5) - x
-        # Solves sum of w min(at, r) = |y - x| for `at`, from one half width r (they rise) to the next. left: what
-        # is not made up yet of |y - x|; rest: the weight of the elements whose r is not reached.
-        sign, left, rest, reached = math.copysign(1.0, common), abs(common), 1.0, 0.0
+        # From the motor to the elements' mean: half of B at most, as the mean of r is 0.5.
+        off = min(max(y, x - 0.5), x + 0.5) - x
+        # Solves sum of w min(at, r) = |off| for `at`, from one half width r (they rise) to the next. left: what is
+        # not made up yet of |off|; rest: the weight of the elements whose r is not reached.
+        sign, left, rest, reached = math.copysign(1.0, off), abs(off), 1.0, 0.0
         for r, w in zip(self.r, self.w, strict=True):
             if left <= rest * (r - reached):
                 break
