@@ -99,9 +99,8 @@ struct effect {
     void (*follow)(const double *v, double *state, struct effect_chain *chain, double u0, double u1, double dt);
     double (*hold)(const double *v, double *state, double tip); // where the tip stays that would be there
     void (*configure)(const double *v, const double *state, const struct effect_moment *now, struct effect_bend *bend);
-    // Which way the instrument lies in its channel after a step. side: that carried the tip last; travelled: how far
-    // the tip has bent, over the mean slope of f_remain.
-    double (*lie)(const double *v, double lies, int side, double travelled, const struct effect_moment *now);
+    // Which way the instrument lies in its channel after a step. moved: the tip, by f_remain over its mean slope, unit.
+    double (*lie)(const double *v, double lies, double moved, const struct effect_moment *now);
 };
 
 // A first-order element of state y whose input goes from u0 to u1 in a straight line.

@@ -508,7 +508,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             }
             if (a->effect->lie) {
                 const double bent = configuration(tables, &bent_at, tip) / c_slope;
-                lies_next = started ? a->effect->lie(a->v, lies, side, fabs(bent - bent_before), &now) : side;
+                lies_next = started ? a->effect->lie(a->v, lies, bent - bent_before, &now) : side;
                 bent_before = bent;
             }
         }

@@ -10,8 +10,9 @@ static const double WEIGHT[NODES] = {
     0.033335672154344069, 0.074725674575290296, 0.109543181257991022, 0.134633359654998178, 0.147762112357376435,
     0.147762112357376435, 0.134633359654998178, 0.109543181257991022, 0.074725674575290296, 0.033335672154344069};
 static const double RADIANS = 0.017453292519943295;
-static const double SMALL = 1e-3;   // tolerance: rad: below it the arc's quotients are taken from their series
-static const double NEAREST = 1e-6; // limit: mm in front of the camera
+static const double SMALL = 1e-3;       // tolerance: rad: below it the arc's quotients are taken from their series
+static const double UNEVEN_MOST = 0.95; // limit: beyond 1 an end of the section would bend the other way
+static const double NEAREST = 1e-6;     // limit: mm in front of the camera
 
 struct turn {
     double m[9];
@@ -83,11 +84,13 @@ static void bend(const struct projection_rig *rig, double gradient, double by_be
             d_along = (cosine - along) / c;
         }
     } else { // the integral of the direction along the section
+        const double wanted = gradient + by_bend * fabs(c), g = fmin(fmax(wanted, -UNEVEN_MOST), UNEVEN_MOST);
+        const double g_rate = g == wanted ? by_bend * fabs(c) : 0.0; // times c
         across = along = d_across = d_along = 0.0;
         for (int i = 0; i < NODES; i++) {
             const double uneven = NODE[i] * NODE[i] - NODE[i];
-            const double share = NODE[i] + uneven * (gradient + by_bend * fabs(c));
-            const double rate = share + uneven * by_bend * fabs(c); // d (c share) / dc
+            const double share = NODE[i] + uneven * g;
+            const double rate = share + uneven * g_rate; // d (c share) / dc
             const double s = WEIGHT[i] * sin(c * share), o = WEIGHT[i] * cos(c * share);
             across += s;
             along += o;

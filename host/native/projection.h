@@ -11,7 +11,8 @@ extern "C" {
 // NAME(unit, meaning). Zero means absent. Turns are rotation vectors.
 #define PROJECTION_PARAMETERS(X)                                                                                       \
     X(curvature_gradient, "", "kinematics.nonconstant_curvature: curvature from (1 - g) at the base to (1 + g)")       \
-    X(curvature_by_bend, "", "kinematics.nonconstant_curvature: added to g for each rad of the bending angle's size")  \
+    X(curvature_by_bend, "1/rad",                                                                                      \
+      "kinematics.nonconstant_curvature: added to g for each rad of the bending angle's size")                         \
     X(tilt_x, "deg", "registration.direction_dependent: turn at one side of the channel, less it at the other")        \
     X(tilt_y, "deg", "registration.direction_dependent")                                                               \
     X(tilt_z, "deg", "registration.direction_dependent")                                                               \

@@ -19,10 +19,12 @@ void regimes_forward(const double *log_density, const unsigned char *begins, siz
             for (size_t from = 0; from < count && !begins[i]; from++) {
                 before[to] += share[from] * transition[from * count + to];
             }
-            largest = fmax(largest, density[to]);
+            if (before[to] > 0.0) {
+                largest = fmax(largest, density[to]);
+            }
         }
         for (size_t to = 0; to < count; to++) {
-            share[to] = before[to] * exp(density[to] - largest);
+            share[to] = before[to] > 0.0 ? before[to] * exp(density[to] - largest) : 0.0;
             sum += share[to];
         }
         found[i] = largest + log(sum);

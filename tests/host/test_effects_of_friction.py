@@ -112,8 +112,10 @@ def test_a_width_may_grow_with_the_logarithm_of_speed():
 def test_the_motor_or_the_tip_turns_a_channel_over_within_its_travel(seed, travel):
     motor = wandering(seed)
     slope = float(MODEL.c_deg[-1] - MODEL.c_deg[0]) / float(GRID[-1] - GRID[0])
-    for driven in (0.0, 1.0):
-        path = simulate(MODEL, motor, motor.t_s, {"tilt_x": 0.2, "tilt_travel": travel, "tilt_driven": driven})
+    late = {"lag": 0.2, "creep_share": 0.3, "creep_time": 2.0}  # a tip that goes on while the motor turns
+    for driven, others in ((0.0, {}), (0.0, late), (1.0, late)):
+        tilt = {"tilt_x": 0.2, "tilt_travel": travel, "tilt_driven": driven}
+        path = simulate(MODEL, motor, motor.t_s, tilt | others)
         moves = np.diff(motor.q if driven else path.c_deg / slope)
         lies = [float(path.way[0])]
         for step in moves.tolist():

@@ -75,6 +75,14 @@ def test_hidden_regimes_against_all_ways_through_them(n, count, seed):
             assert float(np.sum(found[first : last + 1])) == pytest.approx(float(logsumexp(of_each)), abs=1e-9)
 
 
+def test_a_regime_that_cannot_be_is_not_the_measure_of_those_that_can():
+    """Straight from the third one to the second nothing goes, however well that one would explain a frame."""
+    density = np.array([[0.0, -5.0, -9.0], [-1000.0, -1000.0, 0.0], [-2000.0, 0.0, -2000.0], [0.0, -5.0, -9.0]])
+    transition = np.array([[0.5, 0.3, 0.2], [0.5, 0.3, 0.2], [0.1, 0.0, 0.9]])
+    found = _native.regimes_forward(density, np.arange(4) == 0, transition, np.full(3, 1.0 / 3.0))
+    assert np.isfinite(found).all() and found[2] == pytest.approx(-2000.0, abs=0.1)
+
+
 def test_regimes_far_from_each_other_do_not_underflow():
     density = np.array([[0.0, -2000.0], [-2000.0, 0.0], [-5000.0, -5000.0]])
     found = _native.regimes_forward(density, np.arange(3) == 0, np.full((2, 2), 0.5), np.full(2, 0.5))

@@ -14,9 +14,9 @@ static int present(const double *v) {
 }
 
 // A spring that slides: what pulls it turns over within the travel.
-static double lie(const double *v, double lies, int side, double travelled, const struct effect_moment *now) {
-    const double moved = v[DRIVEN] != 0.0 ? now->moved : side * travelled;
-    return fmin(fmax(lies + 2.0 * moved / fmax(v[TRAVEL], 1e-9), -1.0), 1.0);
+static double lie(const double *v, double lies, double moved, const struct effect_moment *now) {
+    const double pulled = v[DRIVEN] != 0.0 ? now->moved : moved;
+    return fmin(fmax(lies + 2.0 * pulled / fmax(v[TRAVEL], 1e-9), -1.0), 1.0);
 }
 
 const struct effect effect_direction_dependent = {

@@ -33,8 +33,8 @@ _LEAST_CHANGE = 0.15  # tolerance: share of a drift's largest value by which it 
 _SMALL_START = 0.1  # tolerance: share of an event's amount from which a fit of its mean effect starts a second time
 _CURVE_PARAMETERS = 3  # prior: effective parameters of a smooth curve: level, slope, curvature
 _NOISE_LIMIT = 4.0  # tolerance: noise floors to which residuals that should be noise are cut: a lost marker is none
-# Prior odds and the price of twelve parameters differ by 25 nats at most.
 _ANOTHER = 0.75  # tolerance: of what a linear step with one moment less leaves: another moment is worth a fit
+# Prior odds and the price of twelve parameters differ by 25 nats at most.
 _HOPELESS = 40.0  # tolerance: nats: a first fit that is less likely than another by more is not finished
 _OUTLIER_LIMIT = 8.0  # tolerance: noise floors below which a residual is never cut
 

@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 _LENS_ORDER = 5  # prior: total degree of the polynomials over the image
 _PLANE_ORDER = 5  # prior: degree of the polynomials over the bending angle
 _MOST_COLUMNS = 192  # tolerance: unknowns of a fit with stage freedom: more would take seconds
-_TRAVELS = (0.003, 0.01, 0.03)  # prior: decay lengths, in shares of the motor's range, of settling in the channel
+_TRAVELS = (0.003, 0.01, 0.03, 0.1)  # prior: decay lengths, in shares of the motor's range, of settling in the channel
 _RANK = 1e-9  # tolerance: relative singular value below which a direction of the unknowns is dropped
 
 

@@ -53,6 +53,7 @@ class Frames:
     image: Array  # (n, k) observed
     before: Array  # (n, k, _REMEMBERED) residuals of the frames before
     period_s: float  # the usual one, from frame to frame
+    follows: npt.NDArray[np.bool_]  # (n,) whether the one before it among these is the frame before
     block: npt.NDArray[np.int64]  # (n,) the number of the block of manoeuvres
     calibration: npt.NDArray[np.bool_]  # (n,) whether it is one of the calibration
 
@@ -87,6 +88,7 @@ def frames(
         image=observed[kept],
         before=np.stack([residual[kept - back] for back in range(1, _REMEMBERED + 1)], axis=-1),
         period_s=period_s(t),
+        follows=np.diff(kept, prepend=-2) == 1,
         block=block[kept],
         calibration=np.full(len(kept), calibration),
     )
@@ -125,7 +127,7 @@ class Joined:
         self._moving = self.driven > _MOVES * max(float(np.quantile(self.driven, _FAST)), 1e-12)
         power = max(float(np.mean(self.residual**2)), self._floor2)
         self._broad = _isotropic_log_density(np.sum(self.residual**2, axis=1), power, self.coordinates)
-        self._begins = np.concatenate([np.arange(len(part.block)) == 0 for part in parts])  # a recording
+        self._begins = ~np.concatenate([part.follows for part in parts])
         self._period_s = float(np.median(np.repeat([p.period_s for p in parts], [len(p.block) for p in parts])))
         # Log-densities of an observation that is where that of the frame before was, or twice as far from there as
         # predicted; both frames have the noise floor^2.
@@ -382,7 +384,8 @@ class Joined:
 
     def _in_regimes(self, quiet: Array, disturbed: Array, third: Array | None = None) -> Array:
         """(n,) Log-density of each frame given those before it, of frames that are quiet, or for a while disturbed, or
-        for a while follow a third law; quiet, disturbed, third: (n,) log-densities."""
+        for a while follow a third law, times being counted in the usual period of all recordings; quiet, disturbed,
+        third: (n,) log-densities."""
         begin, end, turn = (
             min(0.5, self._period_s / mean_s) for mean_s in (_DISTURBED_EVERY_S, _DISTURBED_S, _STICKS_S)
         )

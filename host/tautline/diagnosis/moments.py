@@ -81,7 +81,7 @@ def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> 
     within_one = [[i] for i in range(len(frames_s)) if contains([i])]
     tests = [i for i, segment in enumerate(fitter.segments) if not segment.calibration]
     of_registration = not any(moves_tip(p) for p in fit.hypothesis.kinds[-1].amplitudes)
-    together = [tests] if (within_one or of_registration) and contains(tests) else []
+    together = [tests] if len(tests) > 1 and (within_one or of_registration) and contains(tests) else []
     return any(shows(indices) for indices in (*within_one, *together))
 
 

@@ -16,6 +16,7 @@ from tautline.calibration.coverage import not_measured, seeable
 from tautline.calibration.onset import BOUND
 from tautline.calibration.result import Calibration
 from tautline.effects import OWNER
+from tautline.errors import TautError
 from tautline.rig import Actuator
 
 Array = npt.NDArray[np.float64]
@@ -25,6 +26,7 @@ Span = tuple[float, float]
 _FRAME = 0.0224  # per frame at most: 5.6 mm/s of 10 mm at 25 Hz; much faster leaves too few frames a knot
 _SECOND = 0.56  # per second at most, however fast the camera
 _APPROACH, _STROKE, _LONGEST_STROKE = 0.03, 0.25, 0.45  # before a turn; a reversal without an onset: usually, at most
+_ABOVE = 1.001  # tolerance: times the top speed, which the board rounds to its counts
 _WHOLE = 0.4  # where strokes would take more of the range, passes over all of it are made
 BESIDE = 0.02  # strokes go on for the backlash and so much more beyond what they measure
 
@@ -199,6 +201,12 @@ def _insufficient_places(q: Array, sigma: Array, until: float, apart: float) -> 
     too_vague = np.flatnonzero(sigma > _AIM * until)
     runs = np.split(too_vague, np.flatnonzero(np.diff(q[too_vague]) > apart) + 1) if len(too_vague) else []
     return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
+
+
+def check_speeds(speeds: Sequence[float], top_speed: float, unit: str) -> None:
+    """TautError where a speed is above the axis' top speed, unit of q per s."""
+    if max(speeds) > _ABOVE * top_speed:
+        raise TautError(f"the axis moves at {top_speed:.6g} {unit}/s at most: give --speed up to that")
 
 
 def _unmeasured(calibration: Calibration, low: float, high: float) -> Span:

@@ -16,7 +16,7 @@ from tautline.calibration.result import Calibration
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import project
-from tautline.live.rounds import Round, Strokes
+from tautline.live.rounds import Round, Strokes, check_speeds
 from tautline.live.setup import Frame, Live, Recorder
 from tautline.live.watch import Show, View, Watch
 from tautline.recording import load
@@ -348,19 +348,17 @@ def thorough_round(live: Live, options: MotionOptions) -> Round:
     """Plans the thorough calibration motion (that of the paper), slow passes with many reversals, for this set-up; what
     `options` leave as None (approach and stroke: or 0) is chosen. TautError unless there are 1 to 4 speeds, above 0 and
     no faster than the axis may move."""
-    rig = live.rig
+    rig, top_speed = live.rig, live.top_speed
     low = rig.actuator.range[0] if options.low is None else options.low
     high = rig.actuator.range[1] if options.high is None else options.high
-    fast = min(_TIP_DEG_S / abs(rig.coarse.gain), _OF_TOP_SPEED * live.top_speed)
+    fast = min(_TIP_DEG_S / abs(rig.coarse.gain), _OF_TOP_SPEED * top_speed)
     speeds = options.speeds or (fast, 0.5 * fast)
     if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
         raise TautError("the calibration motion takes 1 to 4 speeds above 0")
-    if max(speeds) > live.top_speed:
-        unit = rig.actuator.unit
-        raise TautError(f"the axis moves at {live.top_speed:.3g} {unit}/s at most: give --speed up to that")
+    check_speeds(speeds, top_speed, rig.actuator.unit)
     return Round(
         low, high, speeds, options.cycles,
-        transit=min(2.0 * max(speeds), live.top_speed), acceleration=_ACCELERATION * max(speeds),
+        transit=min(2.0 * max(speeds), top_speed), acceleration=_ACCELERATION * max(speeds),
         approach=options.approach or _APPROACH * (high - low), stroke=options.stroke or _STROKE * (high - low),
         sigma_wanted=_SIGMA_WANTED * (high - low), sigma_usable=_SIGMA_USABLE * (high - low),
     )  # fmt: skip

@@ -15,6 +15,7 @@ from tautline.live.rounds import (
     Round,
     Standing,
     Strokes,
+    check_speeds,
     default_until,
     first_round,
     in_words,
@@ -126,8 +127,10 @@ def _means(live: Live, goal: Goal) -> Means:
     camera = live.rig.camera
     assert camera is not None  # check_rig
     limits = live.board.ask("get_limits", axis=live.axis)
-    acceleration = float(limits.acceleration_s2) * live.resolution
-    return Means.of(*live.rig.actuator.range, camera.frame_rate_hz, live.top_speed, acceleration, goal.speeds)
+    acceleration, top_speed = float(limits.acceleration_s2) * live.resolution, live.top_speed
+    if goal.speeds:
+        check_speeds(goal.speeds, top_speed, live.rig.actuator.unit)
+    return Means.of(*live.rig.actuator.range, camera.frame_rate_hz, top_speed, acceleration, goal.speeds)
 
 
 class _MarkerLoss:

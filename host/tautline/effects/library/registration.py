@@ -53,7 +53,7 @@ EFFECTS = (
         (Parameter("tilt_x", "deg", 0.3), Parameter("tilt_y", "deg", 0.3), Parameter("tilt_z", "deg", 0.3)),
         (
             Parameter("tilt_pivot", "mm", 5.0, (0.0,)),
-            Parameter("tilt_travel", "unit", 2e-3, (4e-3, 0.03, 0.12), low=0.0),
+            Parameter("tilt_travel", "unit", 2e-3, (4e-3, 0.03, 0.12), low=0.0, high=0.3),
             Parameter("tilt_driven", "", 1.0, (0.0, 1.0), searched=True),
         ),
         says="the registration tilts with the direction of motion",
@@ -67,7 +67,7 @@ EFFECTS = (
         "registration.shift",
         rigid_motion("shift"),
         (Parameter("shift_time", "s", 1.0, searched=True),),
-        says="the registration changes once, during a recording",
+        says="the registration changes once, during a recording or between two tests",
         tell="At one moment the whole track moves in the image and stays there.",
         mend="Fix camera and instrument to each other and calibrate again.",
         needs="camera",
