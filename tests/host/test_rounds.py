@@ -18,6 +18,7 @@ from tautline.calibration.onset import Delay
 from tautline.calibration.result import Calibration
 from tautline.cli._live import sigma_of
 from tautline.cli._picture import calibration_picture, picture, standing_line
+from tautline.errors import TautError
 from tautline.live.rounds import (
     FEWEST,
     CameraView,
@@ -35,8 +36,9 @@ from tautline.live.rounds import (
     why_another,
     why_not,
 )
+from tautline.live.session import MotionOptions, thorough_round
 from tautline.live.setup import Frame
-from tautline.live.until import _make_rounds
+from tautline.live.until import Goal, _make_rounds, _means
 from tautline.live.watch import BINS, View, Watch
 from tautline.model import Model
 from tautline.quality import Quality, Reason
@@ -380,3 +382,16 @@ def test_a_round_that_a_rest_broke_off_is_made_again_though_the_rest_is_over_bef
     )  # fmt: skip
     rounds, why = _make_rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, 60.0, resting)
     assert tried == [False, *([True] * len(rounds))] and len(rests) == 1 and not why
+
+
+def test_a_speed_above_the_axis_own_is_refused_and_moves_in_between_stay_within_it():
+    board = SimpleNamespace(ask=lambda name, axis: SimpleNamespace(acceleration_s2=2000))
+    live = cast(Any, SimpleNamespace(rig=reference_rig(), top_speed=2.0, board=board, axis=0, resolution=0.01))
+    for too_fast in (
+        lambda: thorough_round(live, MotionOptions(speeds=(0.5, 2.5))),
+        lambda: _means(live, Goal(speeds=(2.5,))),
+    ):
+        with pytest.raises(TautError, match="the axis moves at 2 mm/s at most: give --speed up to that"):
+            too_fast()
+    assert thorough_round(live, MotionOptions(speeds=(1.5,))).transit == 2.0
+    assert thorough_round(live, MotionOptions(speeds=(2.0,))).speeds == _means(live, Goal(speeds=(2.0,))).speeds
