@@ -75,7 +75,8 @@ def states(simulated: Motor, command: Motor, scene_s: Array, span: float) -> Arr
     """(n, 3) The inputs of a Discrepancy at scene times scene_s (n,), s: the simulated joint's place, its speed (1/s)
     and its load, in shares of `span`, the motor's range. The load is its command less its place. simulated: the motor's
     log with the simulated tip's coordinate as q; command: the recorded motor, q_cmd or, without it, q."""
-    t_s, place = simulated.t_s, simulated.q / span
+    later = np.diff(simulated.t_s, prepend=-np.inf) > 0.0  # samples of one and the same time tell no speed
+    t_s, place = simulated.t_s[later], simulated.q[later] / span
     speed = np.gradient(place, t_s)
     commanded = command.q if command.q_cmd is None else command.q_cmd
     q = np.interp(scene_s, t_s, place)

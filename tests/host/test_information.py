@@ -108,3 +108,15 @@ def test_what_imitates_everywhere_is_not_open(at_one_speed):
     # As sure as a verdict gets of a part of the nominal model: what is left to unknown is what imitates it everywhere.
     assert motion.plan_best_motion(fitter, Rivals.of([base, lag], [0.0, 0.95, 0.05])).information < 0.25
     assert motion.plan_best_motion(fitter, Rivals.of([base, lag], [0.0, 0.5, 0.5])).information > 0.5
+
+
+def test_samples_of_one_time_tell_no_speed(at_one_speed):
+    """As of a log that writes a row twice: neither the motion nor what it may be is lost."""
+    fitter, base, lag, _ = at_one_speed
+    twice = []
+    for segment in fitter.segments:
+        of_row = np.sort(np.append(np.arange(len(segment.motor.t_s)), [3, 40, 40]))
+        twice.append(replace(segment, motor=Motor(segment.motor.t_s[of_row], segment.motor.q[of_row], None)))
+    rivals = Rivals.of([base, lag], [0.0, 0.5, 0.5])
+    once, again = (motion.plan_best_motion(of, rivals) for of in (fitter, fitter.on_recordings(twice)))
+    np.testing.assert_allclose(again.motion.q, once.motion.q, atol=1e-9)

@@ -164,7 +164,7 @@ def _phases(fitter: Fitter) -> list[_Phase]:
     span = actuator.span
     low = max(actuator.range[0], min(float(s.motor.q.min()) for s in fitter.segments))
     high = min(actuator.range[1], max(float(s.motor.q.max()) for s in fitter.segments))
-    fastest = max(float(np.abs(np.gradient(s.motor.q, s.motor.t_s)).max()) for s in fitter.segments)
+    fastest = max(_fastest(s.motor) for s in fitter.segments)
     fastest = min(max(fastest, _SLOWEST * span), _FASTEST * span)
     shortest = min(_SHORTEST * span, high - low)
     count = _PHASES if all(s.drive is None for s in fitter.segments) else _OF_SIMULATOR
@@ -176,6 +176,13 @@ def _phases(fitter: Fitter) -> list[_Phase]:
         from_ = low + of_place * (high - low - stroke)
         phases.append(_Phase(from_, from_ + stroke, max(speed, stroke / _STROKE_S), _REST_S * of_rest**2))
     return phases
+
+
+def _fastest(motor: Motor) -> float:
+    """The largest speed of a motor, the rig's unit per second. Samples of one and the same time tell none."""
+    step_s, step = np.diff(motor.t_s), np.abs(np.diff(motor.q))
+    later = step_s > 0.0
+    return float(np.max(step[later] / step_s[later], initial=0.0))
 
 
 def _planned_segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
