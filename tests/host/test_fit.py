@@ -8,8 +8,9 @@ import pytest
 from tautline import effects, trajectory
 from tautline.core.session import SessionClock
 from tautline.diagnosis.candidates import Search, applicable
+from tautline.diagnosis.diagnose import _corrected_model
 from tautline.diagnosis.fit import Fitter
-from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
+from tautline.diagnosis.fitted import STATIC_NAMES, Fit, Hypothesis, Scope
 from tautline.diagnosis.huber import huber_weight
 from tautline.diagnosis.moments import moments_are_seen, refine_moments
 from tautline.diagnosis.screen import _HeldFromEdges, _Scan, screen
@@ -374,3 +375,17 @@ def test_a_moment_is_found_by_a_sensor_that_the_model_was_not_calibrated_with():
     fitter.floor = NOISE
     once, *_ = screen(fitter, fitter.nominal(), [BY_ID["transmission.slip"]], [1e3, 1e3])
     assert once.values["slip_time_1"] == pytest.approx(102.53, abs=0.1)
+
+
+def test_a_corrected_model_has_the_nominals_registration_and_the_effects_once():
+    fitter = fitter_of(recordings({}))
+    hypothesis = Hypothesis(tests=1).plus(BY_ID["registration.static"], Scope.TESTS)
+    nominal = dict(zip(STATIC_NAMES, (1.5, -4.0, 0.8, 2.0, -0.5, 3.0), strict=True))
+    effect = dict(zip(STATIC_NAMES, (0.4, 1.0, -0.3, 0.5, 0.2, -1.0), strict=True))
+    state = replace(fitter.start(), static=nominal, values=effect)
+    fit = Fit(hypothesis, state, fitter.residuals(state, hypothesis))
+    test = fitter.segments[1]
+    corrected = _corrected_model(fit, test)
+    fitted = test.predict(state.model, state.at(test, hypothesis), 0.0)[1]
+    np.testing.assert_allclose(test.predict(corrected, {}, 0.0)[1], fitted, atol=1e-6)
+    assert corrected.effects[0].parameters == effect

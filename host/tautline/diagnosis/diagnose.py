@@ -14,8 +14,8 @@ from tautline.diagnosis import confounded, decide, gap, motion, moved, repeated,
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.document import Found, to_document
 from tautline.diagnosis.findings import Finding, Gap
-from tautline.diagnosis.fit import Fitter
-from tautline.diagnosis.fitted import Fit
+from tautline.diagnosis.fit import STATIC, Fitter
+from tautline.diagnosis.fitted import STATIC_NAMES, Fit
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
@@ -293,12 +293,14 @@ def _corrected_model(fit: Fit, last: Segment) -> Model:
     """The fitted model with its effects, in its state at the end of the recording `last`: shifts until then have
     happened, and a drift has gone on until then. Effects that tables, rig or delay hold are put into these."""
     model = fit.state.model
-    model = with_registration(replace(model, c_deg=monotone(model.c_deg)), fit.state.static)
     values = fit.state.at(last, fit.hypothesis)
+    # Where another registration is an effect, these are the nominal's and the effect's together.
+    registered = {name: values[name] for name in STATIC_NAMES if name in values}
+    model = with_registration(replace(model, c_deg=monotone(model.c_deg)), registered)
     added = []
     for kind in fit.hypothesis.kinds:
-        effect = kind.of_values(values)
-        if kind.holds is not None:
+        effect = kind.of_values(fit.state.values if kind.id == STATIC else values)
+        if kind.holds is not None and kind.id != STATIC:
             model = kind.holds(model, effect.parameters, last.end_s)
         added.append(effect)
     return replace(model, effects=tuple(added))
