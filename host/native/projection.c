@@ -65,7 +65,7 @@ static void beside(const struct projection_rig *rig, double c_deg, double *at, d
 }
 
 // What is seen in the section's frame (x, y, z) mm at c rad, and its derivative per rad. The curvature goes from (1 -
-// g) at the base to (1 + g), g = gradient + by_bend |c|.
+// g) at the base to (1 + g), g = gradient + by_bend |c|, within UNEVEN_MOST.
 static void bend(const struct projection_rig *rig, double gradient, double by_bend, double c, double *point,
                  double *slope) {
     const double length = rig->bending_length, tip = rig->tip_length;

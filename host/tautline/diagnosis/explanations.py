@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -168,14 +169,20 @@ class Joined:
         one while it rests, for each recording. The variances are the mean squares after outliers are cut, at least
         floor^2; a broad density is mixed in."""
         squares = np.sum(residual**2, axis=1)
-        variance = np.empty(len(residual))
+        variance = self._level_by_part(
+            squares / self.coordinates, lambda powers: np.mean(np.minimum(powers, np.quantile(powers, _OUTLIERS)))
+        )
+        return self._with_broad(_isotropic_log_density(squares, variance, self.coordinates))
+
+    def _level_by_part(self, powers: Array, level: Callable[[Array], np.floating[Any]]) -> Array:
+        """(n,) For each recording the `level` of powers (n,) of its frames in which the play's centre moves, and of
+        those in which it rests, at least floor^2."""
+        of_each = np.empty(len(powers))
         for number in np.unique(self._recording):
             for part in (self._moving & (self._recording == number), ~self._moving & (self._recording == number)):
                 if part.any():
-                    powers = squares[part] / self.coordinates
-                    clipped = np.minimum(powers, np.quantile(powers, _OUTLIERS))
-                    variance[part] = max(float(np.mean(clipped)), self._floor2)
-        return self._with_broad(_isotropic_log_density(squares, variance, self.coordinates))
+                    of_each[part] = max(float(level(powers[part])), self._floor2)
+        return of_each
 
     @cached_property
     def by_memory(self) -> Array:
@@ -372,15 +379,10 @@ class Joined:
         )
 
     def _variance_of_most(self, squares: Array) -> Array:
-        """(n,) Variance of a coordinate of most frames, at least floor^2: one while the motor drives and one while it
-        rests, for each recording, by the median of squares (n,), of a Gaussian's k coordinates."""
-        variance = np.empty(len(squares))
+        """(n,) Variance of a coordinate of most frames (`_level_by_part`), by the median of squares (n,), of a
+        Gaussian's k coordinates."""
         median = 2.0 * float(gammaincinv(0.5 * self.coordinates, 0.5))  # equation: of chi-square with k degrees
-        for number in np.unique(self._recording):
-            for part in (self._moving & (self._recording == number), ~self._moving & (self._recording == number)):
-                if part.any():
-                    variance[part] = max(float(np.median(squares[part])) / median, self._floor2)
-        return variance
+        return self._level_by_part(squares / median, np.median)
 
     def _in_regimes(self, quiet: Array, disturbed: Array, third: Array | None = None) -> Array:
         """(n,) Log-density of each frame given those before it, of frames that are quiet, or for a while disturbed, or
@@ -391,17 +393,12 @@ class Joined:
         )
         transition = np.array([[1.0 - begin, begin], [end, 1.0 - end]])
         initial = np.array([end, begin]) / (begin + end)
-        if third is None:
-            return np.asarray(
-                _native.regimes_forward(np.column_stack([quiet, disturbed]), self._begins, transition, initial)
-            )
-        with_third = np.block(
-            [[(1.0 - turn) * transition, np.full((2, 1), turn)], [np.array([[turn, 0.0, 1.0 - turn]])]]
-        )
-        initial = 0.5 * np.append(initial, 1.0)
-        return np.asarray(
-            _native.regimes_forward(np.column_stack([quiet, disturbed, third]), self._begins, with_third, initial)
-        )
+        of_each = [quiet, disturbed]
+        if third is not None:
+            of_each.append(third)
+            transition = np.block([[(1.0 - turn) * transition, np.full((2, 1), turn)], [turn, 0.0, 1.0 - turn]])
+            initial = 0.5 * np.append(initial, 1.0)
+        return np.asarray(_native.regimes_forward(np.column_stack(of_each), self._begins, transition, initial))
 
     def repeats(self, share: float) -> Array:
         """(n,) Log-density of a link that shows the frame before again in place of this share of the frames; such a
