@@ -1,4 +1,5 @@
-"""python -m tools.learning CAMPAIGN...: learns how right and wrong hypotheses behave from blind tuning campaigns.
+"""python -m tools.learning CAMPAIGN...: learns how right and wrong hypotheses behave from blind tuning campaigns, and
+from the cases of opened families that `python -m tools.family_evidence` diagnosed.
 
 The hyperparameters that make the truth likeliest (maximum a posteriori about what was set by hand; generators weigh as
 their cases do); of a family of generators that was left out what that says; and how much of the probability a set must
@@ -12,7 +13,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -34,11 +35,13 @@ from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
 from tautline.effects import BY_ID, EVENTS
+from tools import family_evidence
 from tools.blindtest import sealed, work
 from tools.blindtest.campaign import WITHOUT
 from tools.blindtest.cases import SCORED_FROM, Label
 from tools.blindtest.page import RESULT
 from tools.blindtest.scores import CLOSABLE, IMITATED, NONE, SURE, UNEXPLAINED, counts, truth
+from tools.family.score import rms
 
 Array = npt.NDArray[np.float64]
 
@@ -110,21 +113,46 @@ def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
     what a library said that lacks a case's effect, of campaigns that were scored."""
     cases = []
     for folder in folders:
-        for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
-            label = _label(folder, diagnosis.name, scored)
-            document = json.loads((diagnosis / work.DOCUMENT).read_text())
-            certain = any(effect["id"] == HELD for effect in document.get("effects", ())) and label.effects == (HELD,)
-            if label.kind == "pair" or certain:
-                continue
-            case = _case_of(diagnosis, label, document)
-            cases += [case] if case else []
-        for diagnosis, line in _without(folder):
-            label = replace(_label(folder, diagnosis.name, scored), kind="left out")
-            if BY_ID[label.effects[0]].nominal:  # older campaigns have some
-                continue
-            document = json.loads((diagnosis / work.DOCUMENT).read_text())
-            case = _case_of(diagnosis, label, document)
-            cases += [replace(case, left_out=True, stands_in=_standing_in(line))] if case else []
+        cases += _of_family(folder) if (folder / family_evidence.TRUTH).exists() else _of_campaign(folder, scored)
+    return cases
+
+
+def _of_family(folder: Path) -> list[Case]:
+    """Cases with one cause or none; the folder's name is the family's. Without those whose cause the calibrated model
+    holds so that it leaves noise everywhere: there is nothing to tell."""
+    cases = []
+    for path in sorted((folder / family_evidence.TRUTH).glob("*.json")):
+        label, diagnosis = json.loads(path.read_text()), folder / sealed.DIAGNOSES / path.stem
+        if len(label["causes"]) > 1 or not (diagnosis / work.EVIDENCE).exists():
+            continue
+        right = label["causes"][0]["id"] if label["verdict"] == "effect" else label["verdict"]
+        evidence = CaseEvidence.from_json(json.loads((diagnosis / work.EVIDENCE).read_text()))
+        if right != NONE and not is_open(evidence, max(float(np.mean(evidence.frozen)), evidence.calibrated)):
+            continue
+        document = json.loads((diagnosis / work.DOCUMENT).read_text())
+        generator = f"{folder.name}.{label['mechanism']}"
+        cases.append(Case(generator, right, evidence, _moved(document, evidence)))
+    return cases
+
+
+def _of_campaign(folder: Path, scored: bool) -> list[Case]:
+    """Cases of a blind campaign; arguments as for `load`."""
+    cases = []
+    for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
+        label = _label(folder, diagnosis.name, scored)
+        document = json.loads((diagnosis / work.DOCUMENT).read_text())
+        certain = any(effect["id"] == HELD for effect in document.get("effects", ())) and label.effects == (HELD,)
+        if label.kind == "pair" or certain:
+            continue
+        case = _case_of(diagnosis, label, document)
+        cases += [case] if case else []
+    for diagnosis, line in _without(folder):
+        label = replace(_label(folder, diagnosis.name, scored), kind="left out")
+        if BY_ID[label.effects[0]].nominal:  # older campaigns have some
+            continue
+        document = json.loads((diagnosis / work.DOCUMENT).read_text())
+        case = _case_of(diagnosis, label, document)
+        cases += [replace(case, left_out=True, stands_in=_standing_in(line))] if case else []
     return cases
 
 
@@ -260,19 +288,54 @@ def claims(folders: Sequence[Path]) -> list[Claim]:
     """Of single effects where one was named, and the further motion has a gap to close."""
     found = []
     for folder in folders:
-        result = json.loads((folder / RESULT).read_text())
-        if not result["tuning"]:
-            raise click.ClickException(f"{folder}: its seeds are scored, not learnt from: name tuning campaigns")
-        for case in result["each"]:
-            ids = {*case["effects"], *case["named"]}
-            if case["kind"] != "single" or not case["named"] or ids & EVENTS or case["realised"] is None:
-                continue
-            before, after, floor = (case["realised"][name] for name in ("before", "after", "floor"))
-            if before >= CLOSABLE * floor:
-                sort = "later" if any(BY_ID[name].course for name in case["named"]) else "elsewhere"
-                apart = gap.normalised_excess(case["gap"][1] / case["gap"][0], after / before)
-                found.append(Claim(case["generator"], apart, sort))
+        found += _claims_of_family(folder) if (folder / family_evidence.TRUTH).exists() else _claims_of_campaign(folder)
     return found
+
+
+def _claims_of_campaign(folder: Path) -> list[Claim]:
+    """Claims of a blind campaign's result."""
+    result = json.loads((folder / RESULT).read_text())
+    if not result["tuning"]:
+        raise click.ClickException(f"{folder}: its seeds are scored, not learnt from: name tuning campaigns")
+    found = []
+    for case in result["each"]:
+        if case["kind"] == "single" and case["named"] and case["realised"] is not None:
+            before, after, floor = (case["realised"][name] for name in ("before", "after", "floor"))
+            named, generator = case["named"], case["generator"]
+            found += _claim(generator, {*case["effects"], *named}, named, case["gap"], (before, after), floor)
+    return found
+
+
+def _claims_of_family(folder: Path) -> list[Claim]:
+    """Claims of a family's cases that `family_evidence` diagnosed, its unknown ones too."""
+    found = []
+    for path in sorted((folder / family_evidence.TRUTH).glob("*.json")):
+        label, diagnosis = json.loads(path.read_text()), folder / sealed.DIAGNOSES / path.stem
+        if len(label["causes"]) != 1 or not (diagnosis / "corrected.csv").exists():
+            continue
+        document = json.loads((diagnosis / work.DOCUMENT).read_text())
+        named = [effect["id"] for effect in (*document["effects"], *document["moved"])]
+        if document["verdict"] == "effect" and named:
+            seen = path.with_name(f"{path.stem}-unseen.csv")
+            before, after = (
+                rms(diagnosis / f"{which}.csv", seen, label["unseen_valid_from_s"])
+                for which in ("nominal", "corrected")
+            )
+            gaps = document["gap"]["before"], document["gap"]["after"]
+            generator = f"{folder.name}.{label['mechanism']}"
+            found += _claim(generator, {*named}, named, gaps, (before, after), label["noise"])
+    return found
+
+
+def _claim(
+    generator: str, ids: Set[str], named: Sequence[str], gaps: Sequence[float], realised: Sequence[float], floor: float
+) -> list[Claim]:
+    """A claim, unless an event is among the ids or the unseen motion has no gap. gaps, realised: rms before and after,
+    of the tests and of the unseen motion."""
+    if ids & EVENTS or realised[0] < CLOSABLE * floor:
+        return []
+    sort = "later" if any(BY_ID[name].course for name in named) else "elsewhere"
+    return [Claim(generator, gap.normalised_excess(gaps[1] / gaps[0], realised[1] / realised[0]), sort)]
 
 
 def elsewhere(found: Sequence[Claim]) -> tuple[float, float]:

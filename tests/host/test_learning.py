@@ -204,3 +204,43 @@ def test_what_a_library_says_that_lacks_the_effect_is_learnt_from(tmp_path, name
     *_, good, sure, _, _ = learning.row("all", [(one, verdict)], 0.95)
     assert good == ("100 % of 1" if LAG in right else "0 % of 1")
     assert sure == ("0 % of 1" if LAG in right or told[LAG] < 0.9 else "100 % of 1")
+
+
+def family_case(
+    family: Path, name: str, verdict: str, causes: list[str], one: learning.Case, **document: object
+) -> None:
+    """Files of a family's case and of what was said of it; the unseen motion's gap of 10 px shrinks to 1."""
+    said = family / "diagnoses" / name
+    said.mkdir(parents=True)
+    (said / "evidence.json").write_text(json.dumps(plain(one.evidence.to_json())))
+    of_all = {"verdict": verdict, "effects": [], "moved": [], "noise_floor": 1.0, "gap": {"before": 10.0, "after": 2.0}}
+    of_all["gap_recalibrated"] = {"before": 10.0}
+    (said / "diagnosis.json").write_text(json.dumps({**of_all, **document}))
+    truth = {"verdict": verdict, "causes": [{"id": c} for c in causes], "mechanism": "m", "noise": 1.0}
+    (family / "truth").mkdir(exist_ok=True)
+    (family / "truth" / f"{name}.json").write_text(json.dumps({**truth, "unseen_valid_from_s": 0.5}))
+    for path, value in (
+        (family / "truth" / f"{name}-unseen.csv", 0.0),
+        (said / "nominal.csv", 10.0),
+        (said / "corrected.csv", 1.0),
+    ):
+        path.write_text(f"t_s,c_deg\n0,99\n1,{value}\n2,{value}\n")
+
+
+def test_a_familys_cases_teach_what_a_campaigns_do(tmp_path):
+    """Pairs do not, nor a cause that the calibrated model holds already."""
+    family = tmp_path / "family_x"
+    lag = [{"id": LAG}]
+    family_case(family, "case-000", "effect", [LAG], case("a", LAG, 1), effects=lag)
+    family_case(family, "case-001", "none", [], case("a", "none", 2))
+    family_case(family, "case-002", "effect", [LAG, CREEP], case("a", LAG, 3), effects=lag)
+    family_case(family, "case-003", "effect", [LAG], case("a", "none", 4))
+    family_case(family, "case-004", "unknown", ["felt"], case("a", LAG, 5))
+    cases = learning.load([family])
+    assert [(c.generator, c.truth) for c in cases] == [
+        ("family_x.m", LAG),
+        ("family_x.m", "none"),
+        ("family_x.m", "unknown"),
+    ]
+    (claim,) = learning.claims([family])
+    assert claim == learning.Claim("family_x.m", gap.normalised_excess(0.2, 0.1), "elsewhere")

@@ -34,7 +34,7 @@ Files = Mapping[str, bytes]
 DOCUMENT = "diagnosis.json"
 EVIDENCE = "evidence.json"  # what the verdict was worked out from: what constants are learnt on
 COST = "cost.json"
-_VISIBLE = ("calibration", "test-1", "test-2")
+_VISIBLE = ("calibration", "test-1", "test-2")  # of a case that is made here; other families have up to nine tests
 
 
 def make_case(
@@ -57,18 +57,25 @@ def make_case(
 
 
 def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
-    """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/, its evidence and cost."""
-    with threadpool_limits(1), unpacked_folder(files) as folder:
+    """What `taut diagnose` says of a case's files: `diagnose_folder` of them."""
+    with unpacked_folder(files) as folder:
+        return diagnose_folder(folder, left_out)
+
+
+def diagnose_folder(folder: Path, left_out: Collection[str] = ()) -> Files:
+    """What `taut diagnose` says of a folder's case: diagnosis.json, nominal/, corrected/, its evidence and cost."""
+    with threadpool_limits(1), tempfile.TemporaryDirectory() as name:
+        out = Path(name)
         began = time.process_time()
         try:
             rig, recordings = recordings_of(folder)
             model = calibrate(recordings[:1], rig).model
             calibrated = time.process_time() - began
             diagnosis = diagnose(model, recordings[0], recordings[1:], left_out=left_out)
-            diagnosis.nominal.save(folder / "out" / "nominal")
-            diagnosis.corrected.save(folder / "out" / "corrected")
+            diagnosis.nominal.save(out / "nominal")
+            diagnosis.corrected.save(out / "corrected")
             document: Any = plain(diagnosis.document)
-            results = {**sealed.read(folder / "out"), EVIDENCE: sealed.canonical(plain(diagnosis.evidence.to_json()))}
+            results = {**sealed.read(out), EVIDENCE: sealed.canonical(plain(diagnosis.evidence.to_json()))}
         except Exception as error:  # a verdict like any other, and a wrong one: the campaign goes on
             calibrated, document, results = 0.0, {"verdict": FAILED, "error": _told(error)}, {}
         cost = {"core_s": time.process_time() - began, "calibration_core_s": calibrated}
@@ -157,6 +164,6 @@ def _told(error: Exception) -> str:
 
 
 def recordings_of(folder: Path) -> tuple[Rig, list[Recording]]:
-    """A case's rig; its calibration and tests."""
+    """A case's rig; its calibration and, in order, its tests."""
     rig = Rig.load(folder / "rig.toml")
-    return rig, [load(folder / name, rig) for name in _VISIBLE]
+    return rig, [load(part, rig) for part in (folder / "calibration", *sorted(folder.glob("test-?")))]
