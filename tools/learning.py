@@ -130,6 +130,8 @@ def _of_family(folder: Path) -> list[Case]:
         if right != NONE and not is_open(evidence, max(float(np.mean(evidence.frozen)), evidence.calibrated)):
             continue
         document = json.loads((diagnosis / work.DOCUMENT).read_text())
+        if right == HELD and _was_counted(document):
+            continue
         generator = f"{folder.name}.{label['mechanism']}"
         cases.append(Case(generator, right, evidence, _moved(document, evidence)))
     return cases
@@ -141,8 +143,7 @@ def _of_campaign(folder: Path, scored: bool) -> list[Case]:
     for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
         label = _label(folder, diagnosis.name, scored)
         document = json.loads((diagnosis / work.DOCUMENT).read_text())
-        certain = any(effect["id"] == HELD for effect in document.get("effects", ())) and label.effects == (HELD,)
-        if label.kind == "pair" or certain:
+        if label.kind == "pair" or (label.effects == (HELD,) and _was_counted(document)):
             continue
         case = _case_of(diagnosis, label, document)
         cases += [case] if case else []
@@ -154,6 +155,11 @@ def _of_campaign(folder: Path, scored: bool) -> list[Case]:
         case = _case_of(diagnosis, label, document)
         cases += [replace(case, left_out=True, stands_in=_standing_in(line))] if case else []
     return cases
+
+
+def _was_counted(document: Mapping[str, Any]) -> bool:
+    """Whether a diagnosis names repeats, which it counts: no evidence was weighed."""
+    return any(effect["id"] == HELD for effect in document.get("effects", ()))
 
 
 def _label(folder: Path, name: str, scored: bool) -> Label:
