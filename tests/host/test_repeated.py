@@ -14,6 +14,7 @@ from tautline.diagnosis import repeated as room
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.gap import shrink_interval_elsewhere
 from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.narration import sentence
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import are_repeats, prepare
 from tautline.model import Effect, Model
@@ -88,7 +89,12 @@ def test_stalls_are_the_gap_and_not_friction():
     document = diagnosed().document
     assert document["verdict"] == "effect" and [e["id"] for e in document["effects"]] == [HELD]
     assert sum(document["count"]) == pytest.approx(1.0) and document["count"][1] > 0.9
-    assert document["gap"]["before"] > 20.0 * NOISE and document["gap"]["after"] == pytest.approx(NOISE, rel=0.15)
+    before = document["gap"]["before"]
+    assert before > 20.0 * NOISE and before**2 - document["effects"][0]["adds"] ** 2 == pytest.approx(NOISE**2, rel=0.3)
+    assert document["gap"]["after"] == pytest.approx(before)  # no model knows which sample of another motion repeats
+    assert document["gap"]["shrink"] == document["effects"][0]["shrink"] == pytest.approx(0.0, abs=1e-12)
+    assert document["gap"]["shrink_ci"] == [0.0, 0.0]
+    assert "Leave out the samples that repeat: 0.0" in sentence(document)
     assert document["effects"][0]["parameters"]["held_share"] == pytest.approx(14 / 75, abs=0.02)
     assert document["effects"][0]["since"] == "calibration"
     total = document["probability_none"] + document["probability_unknown"]
@@ -125,7 +131,9 @@ def test_a_sensor_that_counts_repeats_nothing_when_it_rests_on_a_step():
 def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, before: float) -> None:
     """Beside something unknown; held samples may have been a candidate already."""
     monkeypatch.setattr(room, "_powers", lambda *_: (4.0, 2.8, 1.2))
-    gap = {"before": 2.0, "before_ci": [1.8, 2.2], "after": 1.7, "after_ci": [1.6, 1.8], "shrink": 0.0}
+    after = 1.0 if before else np.sqrt(2.8)  # without the samples that repeat
+    gap = {"before": np.sqrt(2.8), "before_ci": [1.5, 1.8], "after": after, "after_ci": [0.9 * after, 1.1 * after]}
+    gap["shrink"] = 1.0 - after / gap["before"]
     document = {
         "noise_floor": 0.1, "verdict": "unknown", "gap": gap, "count": [1.0, 0.0, 0.0, 0.0], "effects": [],
         "where": {"stage": None}, "probability_none": 0.0, "probability_unknown": 1.0 - before,
@@ -138,6 +146,7 @@ def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, bef
     segment = SimpleNamespace(held=np.array([True, False]), scored=np.array([False, True]))
     room.add_repeats(document, None, [segment, segment], 0.0)
     assert (document["verdict"] == "effect") == (before > 0.0) == (gap["shrink"] > 0.0)
+    assert gap["after"] == pytest.approx(np.sqrt(after**2 + 1.2))  # what is named takes none of them away
     assert document["gap_recalibrated"]["before"] == pytest.approx(2.0)  # no recalibration takes repeats away
     lag = next(c for c in document["candidates"] if c["id"] == "transmission.lag")
     assert lag["shrink"] == pytest.approx(1.0 - np.sqrt(1.2) / 2.0)  # nor does a lag, whatever it closes beside them

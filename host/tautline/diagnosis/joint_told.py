@@ -208,17 +208,17 @@ def _with_held_samples(
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """(The gap's `sizes`, the `named` effects), both extended by the held samples (values that the sensor's link sent
     twice) that diagnosis.json named before the joint fit, `was`; unchanged where it named none. They are no unknown of
-    a simulator, so the joint fit is without them. The rms before becomes the one with them, and they are named last
-    with the share of it that they close; the others' shares, so far of the gap without them, become shares of all of
-    it."""
+    a simulator, so the joint fit is without them. The sizes become those with them, and they are named last; the
+    others' shares, so far of the gap without them, become shares of all of it."""
     held = next((effect for effect in was["effects"] if effect["id"] == repeated.HELD), None)
     if held is None:
         return sizes, named
-    sizes = dict(sizes)
-    repeated.set_size_before(sizes, was["gap"]["before"])
+    sizes, named, closed = dict(sizes), [dict(effect) for effect in named], sizes["shrink"]
+    repeated.set_size(sizes, "before", was["gap"]["before"])
+    repeated.set_size(sizes, "after", float(np.hypot(sizes["after"], held["adds"])))
     repeated.set_shrinkages(sizes, was["noise_floor"] ** 2, learnt().elsewhere)
-    rest = [{**effect, "shrink": effect["shrink"] * (1.0 - held["shrink"])} for effect in named]
-    return sizes, [*rest, held]
+    repeated.scale_shares(named, sizes["shrink"], closed)
+    return sizes, [*named, held]
 
 
 def _effect_entries(

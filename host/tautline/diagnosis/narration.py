@@ -3,6 +3,7 @@ text that a terminal shows."""
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -128,6 +129,16 @@ def _named_effects(document: Mapping[str, Any]) -> str:
     return listed(said)
 
 
+def _without_repeats(document: Mapping[str, Any]) -> str:
+    """What of the gap is left where the samples that repeat are left out, as a sentence; "" where they are not first
+    among the named effects."""
+    adds = document["effects"][0].get("adds")
+    if adds is None:
+        return ""
+    fresh = math.sqrt(max(document["gap"]["before"] ** 2 - adds**2, 0.0))
+    return f" Leave out the samples that repeat: {digits(fresh)} {document['unit']} of it are left."
+
+
 def _effect_sentences(document: Mapping[str, Any]) -> str:
     """As `sentence`, where effects are named."""
     gap, effects = document["gap"], document["effects"]
@@ -138,7 +149,7 @@ def _effect_sentences(document: Mapping[str, Any]) -> str:
             f"{before} to {digits(gap['after'])}; the rest has no path, so no model can predict it away."
         )
     elif effects[0]["id"] in EVENTS:
-        text = f"{_capitalised(named)}: a gap of {before}, {times}. {_NO_PATH}"
+        text = f"{_capitalised(named)}: a gap of {before}, {times}. {_NO_PATH}{_without_repeats(document)}"
     else:
         shrinks = "closes" if gap["shrink"] > _CLOSED else f"shrinks by {percent(gap['shrink'])}"
         text = (

@@ -1,6 +1,7 @@
 """Samples that a sensor's link sends twice (`acquisition.held_samples`). Where a continuous sensor shows the same value
 again to the last digit that is certain, so no fit has to find it: such samples are no observations
-(segment.are_repeats), and what they add to the gap is put into the finished diagnosis.json."""
+(segment.are_repeats), and what they add to the gap is put into the finished diagnosis.json. No model knows which sample
+of another motion will be a repeat: like every event they shrink nothing, and stay in the gap after the correction."""
 
 from __future__ import annotations
 
@@ -36,18 +37,19 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     if surely_added < _SEEN * floor2:
         return
     share_of_gap = (power - fresh_power) / max(power - floor2, 1e-300)  # by the best estimate
-    shrunk = 1.0 - float(np.sqrt(fresh_power / power))
     alone = document["verdict"] == "none"
-    probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE), shrunk)
+    probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE))
     leads = probability > 0.5
     named = leads or document["verdict"] == "effect"  # else most of the gap has another, unknown cause
+    closed = document["gap"]["shrink"]
     _count_repeats_in_gap(document, power, power - fresh_power)
-    if named:
+    if named and closed != 0.0:
         goes_with_time = document["verdict"] == "effect" and any(BY_ID[e["id"]].course for e in document["effects"])
         set_shrinkages(document["gap"], floor2, learnt().later if goes_with_time else learnt().elsewhere)
     document["count"] = _count_with_one_more(document["count"], _SURE if named else probability)
     if named:
-        _name_repeats(document, segments, shrunk, leads)
+        scale_shares(document["effects"], document["gap"]["shrink"], closed)
+        _name_repeats(document, segments, float(np.sqrt(power - fresh_power)), leads)
 
 
 def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tuple[float, float, float]:
@@ -69,37 +71,43 @@ def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tu
     return squares / frames, without, surely * (squares / frames - without)
 
 
-def _add_candidate(document: dict[str, Any], probability: float, shrink: float) -> float:
+def _add_candidate(document: dict[str, Any], probability: float) -> float:
     """Adds held samples to the candidates of `document`, or replaces them there, and returns their probability:
-    `probability`, which all others give up in proportion, plus what is left of the one that they had as a candidate.
-    shrink: their share of the gap's rms."""
+    `probability`, which all others give up in proportion, plus what is left of the one that they had as a
+    candidate."""
     for candidate in document["candidates"]:
         candidate["probability"] *= 1.0 - probability
     document["probability_none"] *= 1.0 - probability
     document["probability_unknown"] *= 1.0 - probability
     probability += sum(candidate["probability"] for candidate in document["candidates"] if candidate["id"] == HELD)
-    entry = {"id": HELD, "probability": probability, "shrink": shrink, "identifiable": True}
+    entry = {"id": HELD, "probability": probability, "shrink": 0.0, "identifiable": True}
     others = [candidate for candidate in document["candidates"] if candidate["id"] != HELD]
     document["candidates"] = sorted([entry, *others], key=lambda c: -c["probability"])
     return probability
 
 
-def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], shrink: float, leads: bool) -> None:
+def scale_shares(named: Sequence[dict[str, Any]], shrink: float, before: float) -> None:
+    """Scales the shares of the `named` effects, changed in place, so that they sum to the gap's shrinkage `shrink`, and
+    no more to the one of the gap without held samples, `before`."""
+    for effect in named:
+        for part in (effect, *effect.get("brings", ())):
+            part["shrink"] *= shrink / before if before else 0.0
+
+
+def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], adds: float, leads: bool) -> None:
     """Makes held samples a named effect of `document`, the first one if it `leads`, else the last; they count as there
-    from the start if the calibration has about as many. The shares of the other effects, so far of the gap without held
-    samples, become shares of all of it. shrink: their share of the gap's rms."""
+    from the start if the calibration has about as many. adds: rms, px or deg, that they add to the gap (root of the
+    difference of the mean squares)."""
     held_shares = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     if document["verdict"] == "unknown":
         document["effects"] = []
-    for effect in document["effects"]:
-        for part in (effect, *effect.get("brings", ())):
-            part["shrink"] *= 1.0 - shrink
     held = {
         "id": HELD,
         "probability": _SURE,
         "since": (Scope.START if held_shares[0] > _AS_OFTEN * max(held_shares[1:]) else Scope.TESTS).since,
         "parameters": {"held_share": sum(held_shares[1:]) / len(held_shares[1:])},
-        "shrink": shrink,
+        "shrink": 0.0,
+        "adds": adds,
         "swallowed_by_recalibration": False,
         "loads_on_board": BY_ID[HELD].on_board,
         "ambiguous_with": [],
@@ -121,10 +129,11 @@ def _count_with_one_more(count: Sequence[float], probability: float) -> list[flo
 
 def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -> None:
     """Changes the sizes of the gap in `document` so that its mean square before is `power`, of which repeated samples
-    contribute `added` (px^2 or deg^2). A recalibration, or any other effect alone, leaves `added` as it is; with the
-    named effects each repeated sample is as far off as the one that it repeats."""
+    contribute `added` (px^2 or deg^2). A recalibration, or any other effect, alone or named, leaves `added` as it
+    is."""
     recalibrated, fresh, before = document["gap_recalibrated"], document["gap"]["before"], float(np.sqrt(power))
-    set_size_before(document["gap"], before)
+    set_size(document["gap"], "before", before)
+    set_size(document["gap"], "after", float(np.sqrt(document["gap"]["after"] ** 2 + added)))
     recalibrated["before"] = float(np.sqrt(recalibrated["before"] ** 2 + added))
     for candidate in document["candidates"]:
         if candidate["id"] != HELD:
@@ -132,11 +141,11 @@ def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) 
             candidate["shrink"] = 1.0 - float(np.sqrt(left**2 + added)) / before
 
 
-def set_size_before(sizes: dict[str, Any], before: float) -> None:
-    """Sets the rms before of `sizes` (diagnosis.json's `gap`, changed in place) to `before`, px or deg, which includes
-    repeated samples; its interval is scaled alike."""
-    fresh = sizes["before"]
-    sizes["before"], sizes["before_ci"] = before, [before / fresh * end for end in sizes["before_ci"]]
+def set_size(sizes: dict[str, Any], which: str, rms: float) -> None:
+    """Sets the rms "before" or "after" (`which`) of `sizes` (diagnosis.json's `gap`, changed in place) to `rms`, px or
+    deg, which includes repeated samples; its interval is scaled alike."""
+    fresh = sizes[which]
+    sizes[which], sizes[f"{which}_ci"] = rms, [rms / fresh * end for end in sizes[f"{which}_ci"]]
 
 
 def set_shrinkages(sizes: dict[str, Any], floor2: float, excess: tuple[float, float]) -> None:
