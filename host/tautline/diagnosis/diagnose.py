@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from tautline import effects
 from tautline.diagnosis import confounded, decide, gap, motion, moved, repeated, resembles, start, tip, tracker, where
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.document import Found, to_document
@@ -84,9 +85,9 @@ def diagnose(
 ) -> Diagnosis:
     """Finds which effect explains the gap between a calibrated model and later recordings. model: calibrated on
     `calibration`; the search begins without the effects that it carries, and `corrected` is the model with these
-    effects where nothing is named. progress: called with the share that is done, 0 to 1, and what is done now.
-    left_out: ids of effects not to try. simulated: given where a user's simulator stands in the motor's place. Raises
-    TautError where no observation can be scored."""
+    effects where nothing is named and they leave less of the tests. progress: called with the share that is done, 0
+    to 1, and what is done now. left_out: ids of effects not to try. simulated: given where a user's simulator
+    stands in the motor's place. Raises TautError where no observation can be scored."""
     with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
         return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
@@ -106,7 +107,7 @@ def _diagnosis(
     ready = _prepare(calibrated.alone, calibration, tests, left_out, simulated)
     weighed = _fit_and_decide(ready, progress, left_out, simulated)
     progress(_PREPARING + _FITTING + _STARTING, "attributing")
-    found = _collect(ready, weighed)
+    found = _collect(ready, weighed, calibrated)
     model, segments, load_mNm = found.model, found.segments, found.fitter.load_reference
     document = to_document(found, ready.hidden)
     repeated.add_repeats(document, model, segments, load_mNm)
@@ -114,7 +115,8 @@ def _diagnosis(
         resembles.closest_effects(found.gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )
     progress(1.0, "done")
-    corrected = _corrected_model(found.chosen.fit, found.latest) if found.named else calibrated
+    as_calibrated = calibrated if found.keeps_carried else model
+    corrected = _corrected_model(found.chosen.fit, found.latest) if found.named else as_calibrated
     corrected = replace(corrected, extra=model.extra, load_reference_mNm=load_mNm)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
@@ -204,9 +206,9 @@ def _fit_and_decide(
     return _Weighed(fitter, gathered, verdict)
 
 
-def _collect(ready: _Prepared, weighed: _Weighed) -> Found:
-    """Collects what a document is made of: the verdict, completed by the parts of the nominal model that moved, and the
-    hypothesis that it chooses."""
+def _collect(ready: _Prepared, weighed: _Weighed, calibrated: Model) -> Found:
+    """Collects what a document is made of: the verdict, completed by the parts of the nominal model that moved, the
+    hypothesis that it chooses, and what the `calibrated` model leaves with the effects that it carries."""
     fitter, gathered, frozen, base = weighed.fitter, weighed.gathered, ready.frozen, ready.base
     verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, weighed.verdict)
     return Found(
@@ -221,7 +223,15 @@ def _collect(ready: _Prepared, weighed: _Weighed) -> Found:
         verdict=verdict,
         chosen=_chosen_candidate(fitter, frozen, gathered, verdict),
         parts=parts,
+        carried=_left_with_effects(fitter, calibrated) if calibrated.effects else None,
     )
+
+
+def _left_with_effects(fitter: Fitter, model: Model) -> list[Array]:
+    """Residuals of the tests, (scored, k) each, by a model with the effects that it carries."""
+    parameters, load = effects.of_model(model), fitter.load_reference
+    tests = fitter.segments[1:]
+    return [(test.observed - test.predict(model, parameters, load)[1])[test.scored] for test in tests]
 
 
 def _fitter_and_residuals(

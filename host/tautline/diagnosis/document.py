@@ -50,6 +50,7 @@ class Found:
     verdict: decide.Decision
     chosen: Candidate  # the hypothesis of what is named
     parts: Sequence[Moved]  # of the nominal model, where a recalibration closes the gap
+    carried: Sequence[Array] | None  # residuals of the tests by the model with the effects that its calibration named
 
     @property
     def tests(self) -> Sequence[Segment]:
@@ -73,10 +74,18 @@ class Found:
         return self.verdict.named if self.verdict.name == "effect" else ()
 
     @property
+    def keeps_carried(self) -> bool:
+        """Whether the corrected model is the calibrated one with the effects that its calibration named: where nothing
+        is named here, and it leaves less of the tests with them."""
+        return not self.named and self.carried is not None and gap.rms(self.carried) < gap.rms(self.before)
+
+    @property
     def after(self) -> Sequence[Array]:
-        """Held-out residuals of the tests by the chosen hypothesis, (scored, k) each; `before` where nothing is
-        named."""
-        return self.chosen.held_out[1:] if self.named else self.before
+        """Held-out residuals of the tests by the chosen hypothesis, (scored, k) each; where nothing is named, by the
+        model that is handed out: with the effects that the calibration named (`keeps_carried`), else `before`."""
+        if self.named:
+            return self.chosen.held_out[1:]
+        return self.carried if self.carried is not None and self.keeps_carried else self.before
 
     @property
     def floor(self) -> float:
@@ -104,11 +113,13 @@ class Found:
     @cached_property
     def gap(self) -> dict[str, Any]:
         """The object `gap` of diagnosis.json: rms before and after with their intervals, px or deg, and the shrinkage.
-        Where nothing is named, after equals before, and the shrinkage and its interval are 0."""
+        Where nothing is named, and no effect of the calibration's is kept, after equals before, and the shrinkage and
+        its interval are 0."""
         goes_with_time = any(effects.BY_ID[name].course for name in self.named)
         excess = learnt().later if goes_with_time else learnt().elsewhere
         sizes = gap.with_intervals(self.before, self.after, self.tests, self.floor, excess)
-        return sizes if self.named else {**sizes, "shrink_ci": [0.0, 0.0], "closable_shrink": 0.0}
+        corrects = self.named or self.keeps_carried
+        return sizes if corrects else {**sizes, "shrink_ci": [0.0, 0.0], "closable_shrink": 0.0}
 
     @cached_property
     def by_gaussian_process(self) -> flexible.Flexible | None:
