@@ -30,13 +30,13 @@ class Gap:
 
     def says(self, unit: str) -> str:
         """The gap in words. unit: of q."""
-        return f"{not_measured((self.low, self.high), unit)}: {self.why}"
+        return f"{not_measured([(self.low, self.high)], unit)}: {self.why}"
 
 
-def not_measured(span: Span, unit: str) -> str:
-    """The words that B is not known from span[0] to span[1], in q's unit, as reports and live calibrations have
-    them."""
-    return f"B is not measured from {span[0]:.3g} to {span[1]:.3g} {unit}"
+def not_measured(spans: Sequence[Span], unit: str) -> str:
+    """The words that B is not known in these spans, each from its lowest to its highest position in q's unit, as
+    reports and live calibrations have them."""
+    return f"B is not measured {' and '.join(f'from {low:.3g} to {high:.3g} {unit}' for low, high in spans)}"
 
 
 def seeable(model: Model, low: float, high: float) -> Span:
