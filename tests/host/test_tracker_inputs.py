@@ -11,6 +11,8 @@ import tautline as tl
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.tracking import State, Tracker
+from tautline.tracking.beyond import Beyond
+from tautline.tracking.law import LawFamily, calibrated_theta
 from tautline.tracking.passes import Passes
 from tools.tracking.sessions import Change, Instrument, Session, ideal_model, session
 
@@ -60,3 +62,23 @@ def test_a_model_of_next_to_no_width_has_no_more_cells_than_a_frame_has_time_for
         passes = Passes(replace(model, width=np.full(len(model.q), width)), width)
         assert len(passes.place) <= 4097
         assert width < 0.1 or np.diff(passes.place)[0] == pytest.approx(width / 16)
+
+
+@pytest.mark.parametrize("least", [0.0, 1e-7])
+@pytest.mark.parametrize("narrower", [1.0, 0.5])
+def test_the_share_of_b_is_told_beside_places_without_b(narrowing: Session, least: float, narrower: float) -> None:
+    """A play whose B is next to nothing in the middle is narrower than calibrated by a share, alike everywhere."""
+    model: Model = ideal_model(narrowing.instrument)
+    width = np.clip(0.4 * (np.abs(model.q) - 1.0), least, 0.4)
+    model = replace(model, width=width, width_sigma=np.full_like(width, 1e-3))
+    passes, rng, sigma = Passes(model, 0.4), np.random.default_rng(1), 1e-3
+    for stroke, way in enumerate((1, -1)):
+        for entry, y in enumerate(way * np.arange(-4.0, 4.0, 0.05), 200 * stroke):
+            q = y + way * 0.5 * narrower * np.interp(y, model.q, width)
+            passes.add(q, y + sigma * rng.normal(), sigma, 0.5, stroke, travel=2.0, entry=entry)
+    law = LawFamily(Beyond.prior(model)).law(calibrated_theta())
+    told = passes.narrowing(law, calibrated_theta(), 1.0, 0)
+    if narrower == 1.0:
+        assert told is None
+    else:
+        assert told is not None and told.sigma < 1.0 and abs(told.share - narrower) < 4.0 * told.sigma
