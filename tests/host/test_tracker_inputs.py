@@ -9,7 +9,9 @@ import pytest
 
 import tautline as tl
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
+from tautline.prediction import predict, predict_with_sigma
+from tautline.recording import Motor
 from tautline.tracking import State, Tracker
 from tautline.tracking.beyond import Beyond
 from tautline.tracking.law import LawFamily, calibrated_theta
@@ -82,3 +84,21 @@ def test_the_share_of_b_is_told_beside_places_without_b(narrowing: Session, leas
         assert told is None
     else:
         assert told is not None and told.sigma < 1.0 and abs(told.share - narrower) < 4.0 * told.sigma
+
+
+def test_a_stated_noise_of_none_at_all_is_no_usual_noise(narrowing: Session) -> None:
+    """A simulator's camera may have none: then sigma is that of the tables alone, and a tracker learns at once."""
+    model, recording = ideal_model(narrowing.instrument), narrowing.recording
+    exact = replace(model, uncertainty=Uncertainty(noise=0.0))
+    at = recording.marker.t_s[200:400] - model.delay_s
+    told, usual = (predict_with_sigma(each, recording.motor, at) for each in (exact, model))
+    tables = replace(exact, uncertainty=Uncertainty(noise=1e-9))
+    np.testing.assert_allclose(
+        told.c_sigma_deg, predict_with_sigma(tables, recording.motor, at).c_sigma_deg, rtol=1e-6, atol=1e-9
+    )
+    assert np.median(told.c_sigma_deg) < 0.5 * np.median(usual.c_sigma_deg)
+    tracker, quiet = Tracker(exact), Motor(recording.motor.t_s, recording.motor.q)
+    tracker.motor(quiet.t_s, quiet.q)
+    for t_s, place in zip(at, predict(exact, quiet, at).image_px, strict=True):
+        row = tracker.see(t_s + model.delay_s, *place)
+    assert np.isfinite([row.c_deg, row.offset_sigma, row.scale_sigma]).all() and tracker.state is State.TRUSTED
