@@ -273,7 +273,9 @@ def diagnose(
     if not tests:
         raise TautError("no test: give one recording or more that the calibration was not made from")
     several, used = _recordings_and_rig([calibration, *tests], rig)
-    first, on_one_clock = calibrated(several, used, lambda share, what: progress(_BEFORE * share, what))
+    first, on_one_clock, of_clocks = calibrated(several, used, lambda share, what: progress(_BEFORE * share, what))
+    for reason in of_clocks:
+        _log.warning("%s", reason)
     found = diagnosed(
         first.model,
         on_one_clock[0],

@@ -184,9 +184,9 @@ class Model(Value):
 
     def noise_of(self, sensor: Sensor) -> float:
         """One standard deviation of a sensor's noise, px a coordinate or deg: what the calibration left with this
-        sensor; a usual value for another sensor, or where that is 0 or not known."""
+        sensor, 0 too; a usual value for another sensor, or where that is not known."""
         known = self.uncertainty.noise if sensor == self.sensor else None
-        return known or _USUAL_NOISE[sensor]
+        return _USUAL_NOISE[sensor] if known is None else known
 
     @cached_property
     def play(self) -> Play:

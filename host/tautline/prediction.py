@@ -288,9 +288,9 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
     predicted, sigma = (told.image_px, told.image_sigma_px) if by_image else (told.c_deg, told.c_sigma_deg)
     assert predicted is not None and sigma is not None  # a marker counts with a camera alone
     off = seen[counted] - predicted
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         z = off / sigma
-    known = z[np.isfinite(z)]  # errors over sigma, where sigma is known
+    known = z[np.isfinite(z)]  # errors over sigma, where sigma is known and not 0
     return Score(
         rows=int(counted.sum()),
         unit="px" if by_image else "deg",

@@ -107,12 +107,22 @@ class Basis:
         second, first = np.diff(np.eye(self.size), 2, axis=0), np.diff(np.eye(self.size), 1, axis=0)
         return second.T @ second + 1e-6 * first.T @ first
 
+    @property
+    def roughness_rank(self) -> int:
+        """The rank of `roughness`, which is 0 of a constant alone."""
+        return self.size - 1
+
     @cached_property
     def bending(self) -> Array:
         """(size, size) Matrix of a penalty on squared second differences of the coefficients alone, by which the curve
         goes straight on where nothing is measured."""
         second = np.diff(np.eye(self.size), 2, axis=0)
         return second.T @ second
+
+    @property
+    def bending_rank(self) -> int:
+        """The rank of `bending`, which is 0 of every straight line."""
+        return self.size - 2
 
 
 @lru_cache(maxsize=32)

@@ -22,7 +22,7 @@ from tautline.geometry import project
 from tautline.io.exporting.export import Mount
 from tautline.io.exporting.mjcf import chain, folder
 from tautline.io.exporting.mjcf.nominal import Nominal, read_nominal
-from tautline.io.exporting.mjcf.scene import Law
+from tautline.io.exporting.mjcf.scene import Law, Scene
 from tautline.io.exporting.mjcf.transmission import Transmission
 from tautline.model import Effect, Model
 from tautline.prediction import predict
@@ -225,6 +225,23 @@ def test_meshes_are_found_from_the_new_folder(tmp_path: Path) -> None:
     for name, scene in folder.scenes(nominal, law, out).items():
         (out / name).write_text(scene)
         assert mujoco.MjModel.from_xml_path(str(out / name)).nmesh == 1
+
+
+def test_a_scene_is_written_twice_and_after_each_part(tmp_path: Path) -> None:
+    """Key frames have the user's coordinates, and of each slide the reference."""
+    own = tmp_path / "own.xml"
+    own.write_text(TENDON.replace('qpos="0.1"', 'qpos="0.1" qvel="0.3"'))
+    x = np.linspace(-5.0, 5.0, 11)
+    straight, wide = chain.fit(x, 0.2 * x, 1e-9), chain.fit(x, 0.3 + 0.0 * x, 1e-9)
+    law = Law(2.0, 10.0, 0.2, wide, chain.Sum((straight,)), 0.0, 0.08)
+    scene = Scene(read_nominal(Mount(own, "A", "joint:elbow"), "mm", (-5.0, 5.0), 0.2 * x), law)
+    for part in (scene.add_motor, scene.add_play, scene.add_law):
+        part()
+        text = scene.text(tmp_path)
+        assert scene.text(tmp_path) == text
+        model = mujoco.MjModel.from_xml_string(text)
+        np.testing.assert_allclose(model.key_qpos[0], [0.1, *model.qpos0[1:]])
+        np.testing.assert_allclose(model.key_qvel[0], [0.3, *np.zeros(model.nv - 1)])
 
 
 # -- without MuJoCo -----------------------------------------------------------------------------------------------

@@ -119,6 +119,16 @@ def test_where_nothing_is_measured_there_is_one_gap() -> None:
     assert (gap.low, gap.high) == (LOW, HIGH)
 
 
+@pytest.mark.parametrize("nodes", [201, 401, 513, 1001])
+def test_a_gap_reaches_the_end_of_the_range_also_where_a_node_is_where_seeing_ends(nodes: int) -> None:
+    """B can be seen up to 4.3 mm, which is a node of three of these grids, but for rounding."""
+    q = np.linspace(LOW, HIGH, nodes)
+    half = Model(RIG, q, np.full_like(q, WIDTH), np.full_like(q, 1e-3), 12.0 * q, 0.08, (-2.0, 2.0))
+    assert [(gap.low, gap.high) for gap in gaps(half, None)] == [
+        (LOW, pytest.approx(-2.0, abs=0.06)), (pytest.approx(2.0, abs=0.06), HIGH)
+    ]  # fmt: skip
+
+
 def test_a_hole_between_two_places_and_a_missing_turn_are_told_apart() -> None:
     hole, end = gaps(model((-4.8, 2.0)), apart((-4.8, -1.0), (1.0, 4.8)))
     assert hole.low == pytest.approx(-0.7, abs=0.03) and hole.high == pytest.approx(0.7, abs=0.03)

@@ -21,6 +21,7 @@ from cli_runner import Taut
 from reference_instrument import RIG, moved, saved_recording
 
 from tautline.calibration.calibrate import calibrate
+from tautline.calibration.coverage import gaps
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose, project
 from tautline.live import page as page_package
@@ -396,20 +397,25 @@ def test_what_is_missing_is_said() -> None:
 @pytest.mark.parametrize(
     ("nodes", "says"),
     [
-        ((0.3, 0.7), "measured only from {0:.3g} to {1:.3g} mm"),
-        ((0.0, 0.7), "not measured from {1:.3g} to 5 mm"),
-        (None, "not measured from -5 to 5 mm"),
+        ((0.3, 0.7), ("from -5 to {0:.3g} mm", "from {1:.3g} to 5 mm")),
+        ((0.0, 0.7), ("from {1:.3g} to 5 mm",)),
+        (None, ("from -5 to 5 mm",)),
     ],
 )
-def test_what_is_not_measured_is_said(recording: Recording, nodes: tuple[float, float] | None, says: str) -> None:
-    """nodes: from which to which of q's nodes, as shares of them, B is measured."""
+def test_what_is_not_measured_is_said(
+    recording: Recording, nodes: tuple[float, float] | None, says: tuple[str, ...]
+) -> None:
+    """nodes: from which to which of q's nodes, as shares of them, B is measured; says: `{}` are the nodes beyond."""
     found = calibrate([recording], RIG)
     q = found.model.q
-    measured = (0.0, 0.0) if nodes is None else (float(q[int(nodes[0] * len(q))]), float(q[int(nodes[1] * len(q))]))
+    first, last = (0, 1) if nodes is None else (int(nodes[0] * len(q)), int(nodes[1] * len(q)))
+    measured = (0.0, 0.0) if nodes is None else (float(q[first]), float(q[last]))
     view = View(-5.0, 5.0, "mm", 3e-3)
     view.rising[:, 0] = view.falling[:, 0] = 1
-    view.standing = Standing.of(replace(found, model=replace(found.model, measured=measured)), -5.0, 5.0, 3e-3)
-    assert f"B is {says.format(*measured)}" in shown.missing_in_words(view)
+    model = replace(found.model, measured=measured)
+    view.standing = Standing.of(replace(found, model=model, gaps=gaps(model, None)), -5.0, 5.0, 3e-3)
+    unmeasured = [said.split(":")[0] for said in shown.missing_in_words(view) if "not measured" in said]
+    assert unmeasured == [f"B is not measured {each.format(q[first - 1], q[last + 1])}" for each in says]
 
 
 def test_a_marker_that_is_lost_has_no_place_and_no_angle() -> None:

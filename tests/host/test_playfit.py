@@ -55,6 +55,23 @@ def test_the_jacobian_is_the_residuals_slope(seed, with_view):
     assert -2 * gradient[-1] == pytest.approx((later - earlier) / 6e-3, rel=0.05, abs=1e4)
 
 
+@pytest.mark.parametrize("spans", [4, 10, 40])
+def test_a_curve_is_begun_as_rough_as_each_penalty_has_it(spans: int) -> None:
+    """c' P c is rank(P) times the variance over the smoothing in the mean, c of the prior with precision P: the rank by
+    what of P's singular values is not 0."""
+    made = run(RIG, preset("random", RIG, 3), random_smooth(RIG.actuator, 1.0, 20.0, 3), noise_px=0.3, seed=3)
+    basis, rng = Basis(-5, 5, spans), np.random.default_rng(spans)
+    fit = PlayFit([PreparedTrack.of(track) for track in observe([made.recording], RIG)], basis, basis)
+    curves = Curves(
+        rng.uniform(0.3, 0.6, basis.size), project(RIG, 11.0 * basis.centres + rng.normal(size=basis.size)), 0.08
+    )
+    fit.begin_smoothing(curves, scale=1e2)
+    for name, penalty, columns in (("backlash", basis.roughness, [curves.backlash]),
+                                   ("follow", basis.bending, curves.follow.T)):  # fmt: skip
+        rank = sum(np.linalg.matrix_rank(penalty) for _ in columns)
+        assert fit.smoothing[name] * sum(c @ penalty @ c for c in columns) == pytest.approx(1e4 * rank)
+
+
 def test_frames_that_cannot_count_change_no_fit() -> None:
     """A fit of a track of which one in three frames may count is that of these frames alone."""
     motion = random_smooth(RIG.actuator, 1.0, 40.0, 3)

@@ -14,6 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.coverage import HOLE, gaps
 from tautline.calibration.onset import Delay
 from tautline.calibration.result import Calibration
 from tautline.cli._live import sigma_of
@@ -43,7 +45,9 @@ from tautline.live.watch import BINS, View, Watch
 from tautline.model import Model
 from tautline.quality import Quality, Reason
 from tautline.rig import Actuator
-from tautline.simulated.instrument import reference_rig
+from tautline.simulated.instrument import preset, reference_rig
+from tautline.simulated.simulate import simulate
+from tautline.trajectory import through
 from tautline.vision.marker import Sighting
 
 UNTIL = 3e-3
@@ -58,7 +62,8 @@ def found(
     q = np.linspace(-5.0, 5.0, 201)
     model = Model(reference_rig(), q, np.full_like(q, 0.4), np.broadcast_to(sigma, q.shape), 12 * q, 0.08, measured)
     model = replace(model, quality=Quality(reasons))
-    return Calibration(model, (), Delay(0.08, 1e-4, 10), "onsets", None, None, None, {}, ())
+    found = Calibration(model, (), Delay(0.08, 1e-4, 10), "onsets", None, None, None, {}, ())
+    return replace(found, gaps=gaps(model, None))
 
 
 def sigma_with(*bad: tuple[float, float, float]) -> np.ndarray:
@@ -80,13 +85,38 @@ def test_reached_means_everywhere_that_can_be_seen() -> None:
     assert not spot.reached(UNTIL) and spot.worst == 4e-3 and spot.where == pytest.approx(2.0)
     # Beyond what was measured sigma says nothing; what is not measured and could be counts.
     assert of(found(sigma_with((4.9, 5.0, 1.0)))).reached(UNTIL)
-    for measured, missing in (((-4.8, 3.0), (3.0, 5.0)), ((-3.0, 4.8), (-5.0, -3.0)), ((-3.0, 3.0), (-5.0, 5.0))):
+    low_end, high_end = (-5.0, -3.05), (3.05, 5.0)  # to the first node beyond the turns
+    for measured, missing in (
+        ((-4.8, 3.0), [high_end]), ((-3.0, 4.8), [low_end]), ((-3.0, 3.0), [low_end, high_end])
+    ):  # fmt: skip
         part = of(found(sigma_with(), measured))
-        assert part.missing == missing and not part.covered and not part.reached(UNTIL)
+        assert [(gap.low, gap.high) for gap in part.missing] == [pytest.approx(span) for span in missing]
+        assert not part.covered and not part.reached(UNTIL)
     nothing = of(found(sigma_with(), (0.0, 0.0)))
     assert not np.isfinite(nothing.worst) and not nothing.reached(UNTIL) and nothing.share(UNTIL) == 0.0
     unknown = of(found(sigma_with((1.0, 1.0, np.nan))))
     assert not unknown.reached(UNTIL) and unknown.where == pytest.approx(1.0)
+
+
+def test_a_middle_that_no_frame_saw_on_the_way_up_is_not_reached() -> None:
+    """Both ends are measured, and a smooth B is told across the hole to less than the goal."""
+    rig, low, high = reference_rig(), -0.8, 0.8
+    points = [*(-5.0, 5.0) * 4, 2.5, 5.0, 2.5, -2.5, -5.0, -2.5, -5.0]
+    made = simulate(rig, preset("constant", rig), through(points, 5.0, 100.0, 0.2), seed=4, name="rounds")
+    marker = made.marker
+    assert marker is not None
+    t_s, motor = marker.t_s - rig.delay_s, made.motor
+    q, before = np.interp(t_s, motor.t_s, motor.q), np.interp(t_s - 0.02, motor.t_s, motor.q)
+    hidden = (q > before) & (q > low) & (q < high)
+    seen = of(calibrate([made], rig), until=0.1)
+    holed = replace(made, marker=replace(marker, valid=marker.valid & ~hidden))
+    standing = of(calibrate([holed], rig), until=0.1)
+    assert seen.reached(0.1) and standing.worst < 0.1 and not standing.reached(0.1)
+    (gap,) = standing.missing
+    slack = HOLE * rig.actuator.span + 0.2  # half of B: the tip is so far behind
+    assert low - slack < gap.low < gap.high < high + slack
+    asked = next_round(MEANS, standing, 0.1, [first_round(MEANS), Strokes((), 5.6)], 20.0)
+    assert isinstance(asked, Round) and (asked.low, asked.high) == (-5.0, 5.0)
 
 
 def test_the_first_round_is_fast_and_all_of_the_range() -> None:
@@ -186,7 +216,7 @@ def test_why_not_names_what_is_not_seen_and_what_is_doubted() -> None:
     assert "noise" in elsewhere
     short = of(found(sigma_with(), (-4.8, 2.0)))
     assert "not seen from 2.1 to 5" in why_not(short, UNTIL, "mm", CameraView(0.05, (2.1, 5.0)), 40.0, 120.0, FEWEST)
-    assert "no reversal from 2 to 5 mm" in why_not(short, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
+    assert "not measured from 2.05 to 5 mm" in why_not(short, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
     stuck = replace(short, unmoved=4.5)
     assert "strokes of 4.5 mm moved nothing" in why_not(stuck, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
     doubt = Reason("transmission.lag", "the tip follows late", "mend it")
@@ -301,7 +331,7 @@ def test_another_round_says_why() -> None:
     noisy = Standing.of(found(sigma_with((1.0, 1.0, 0.0068))), -5.0, 5.0, UNTIL)
     assert why_another(noisy, UNTIL, "mm", [*passes, strokes]) == "sigma is 6.8 µm at 1 mm where 3 µm is wanted"
     short = Standing.of(found(sigma_with(), (-4.8, 2.0)), -5.0, 5.0, UNTIL)
-    assert "not measured from 2 to 5 mm" in why_another(short, UNTIL, "mm", passes)
+    assert "not measured from 2.05 to 5 mm" in why_another(short, UNTIL, "mm", passes)
 
 
 def test_a_goal_that_was_reached_once_and_is_not_any_more_is_told() -> None:

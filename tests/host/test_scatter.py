@@ -201,3 +201,16 @@ def test_of_frames_that_come_in_bunches_nothing_is_told():
     said = compare_explanations([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
     assert not any(said.beats_rivals(event) for event in (JITTER, STICK, HELD))
     assert all(loss.tolist() == [0.0] * 4 for loss in said.loss.values()) and set(RIVALS) < set(said.loss)
+
+
+def test_a_recording_of_another_rate_keeps_its_own_time():
+    """Regimes last for seconds: what a recording's frames say does not hang on the rate of the recording beside it."""
+    rng, parts = np.random.default_rng(7), []
+    for number, rate_hz in enumerate((25.0, 120.0)):
+        t = np.arange(0.0, 20.0, 1.0 / rate_hz)
+        p = 3.0 * np.sin(t)
+        seen = p[:, None] * PX_PER_UNIT + FLOOR * rng.normal(size=(len(t), 2))
+        seen[(t > 8.0) & (t < 9.0)] += 6.0 * FLOOR
+        parts.append(frames(t, seen, p[:, None] * PX_PER_UNIT, p, np.full(len(t), number)))
+    together, alone = Joined(parts, FLOOR), [Joined([part], FLOOR) for part in parts]
+    np.testing.assert_allclose(together.returns(FLOOR), np.concatenate([one.returns(FLOOR) for one in alone]))

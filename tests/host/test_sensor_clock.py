@@ -1,6 +1,7 @@
 """Clocks and angle sensors: delays, offsets, held values, slow sensors and motors that step, found or refused."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from slices import some
 
+import tautline as tl
 from tautline.calibration import clock
 from tautline.calibration.angle_delay import delay_of_all
 from tautline.calibration.calibrate import calibrate
@@ -20,6 +22,7 @@ from tautline.calibration.observations import not_held, observe
 from tautline.calibration.onset import Delay
 from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.calibration.steps import motor_jumps
+from tautline.cli.diagnose import _calibrate_first
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.model import Model
@@ -170,7 +173,7 @@ def test_what_a_diagnosis_is_to_explain_is_no_clock():
     """A lag makes one motion's image stop later than another's."""
     made = [endoscope(3), late(replace(endoscope(4), name="late"), 0.06), late(replace(endoscope(5), name="off"), 2.0)]
     assert set(clock.align(observe(made, CAMERA_RIG), CAMERA_RIG).offsets) == {"late", "off"}
-    before, behind, off = clock.on_motor_clock(made, CAMERA_RIG)
+    (before, behind, off), _ = clock.on_motor_clock(made, CAMERA_RIG)
     assert before is made[0] and np.array_equal(behind.marker.t_s, made[1].marker.t_s)
     assert np.median(made[2].marker.t_s - off.marker.t_s) == pytest.approx(2.0, abs=5e-3)
 
@@ -180,15 +183,31 @@ def test_a_lag_of_half_a_second_is_an_effects_where_the_calibration_was_on_the_m
     for late_s, found_s in ((0.5, 0.0), (2.0, 2.0)):
         made = late(endoscope(3), late_s)
         alone, beside_calibration = (
-            clock.on_motor_clock([made], CAMERA_RIG, one_clock=one_clock)[0] for one_clock in (False, True)
+            clock.on_motor_clock([made], CAMERA_RIG, one_clock=one_clock)[0][0] for one_clock in (False, True)
         )
         assert np.median(made.marker.t_s - alone.marker.t_s) == pytest.approx(late_s, abs=5e-3)
         assert np.median(made.marker.t_s - beside_calibration.marker.t_s) == pytest.approx(found_s, abs=5e-3)
 
 
 def test_recordings_of_one_name_keep_a_clock_each():
-    right, off = clock.on_motor_clock([PLAIN, late(PLAIN, 2.0)], RIG)
+    (right, off), _ = clock.on_motor_clock([PLAIN, late(PLAIN, 2.0)], RIG)
     assert right is PLAIN and off.angle.t_s == pytest.approx(PLAIN.angle.t_s, abs=0.05)
+
+
+def test_a_diagnosis_says_which_clock_was_off_and_which_cannot_be_told(caplog, capsys, monkeypatch):
+    """By the command and by the API alike; what is then diagnosed does not matter here."""
+    first, off, other = (replace(record(Motion.through(), seed=n), name=f"r{n}") for n in (1, 2, 3))
+    wandering = np.cumsum(np.random.default_rng(1).normal(0.0, 0.5, len(other.angle.t_s)))
+    unlike = replace(other, angle=replace(other.angle, c_deg=wandering))
+    made = [first, late(off, 2.0), unlike]
+    _calibrate_first(made, RIG, Path("first"), lambda share, text: None)
+    warned = capsys.readouterr().err.splitlines()
+    says = ["r2: the sensor's clock is 2.000 s behind", "r3: at no offset within 10 s does the tip follow the motor"]
+    assert len(warned) == 2 and all(f"taut: warning: {one}" in line for one, line in zip(says, warned, strict=True))
+    monkeypatch.setattr("tautline.diagnosis.diagnose.diagnose", lambda *_: SimpleNamespace(findings=(), verdict="none"))
+    tl.diagnose(made[0], made[1:], RIG)
+    logged = [each.getMessage() for each in caplog.records if each.levelname == "WARNING"]
+    assert all(map(str.startswith, logged, says)) and len(logged) == len(says)
 
 
 @pytest.mark.parametrize("rig", [stated(0.3), Rig(RIG.actuator, RIG.coarse, camera=TIP_CAMERA)], ids=["sensor", "tip"])

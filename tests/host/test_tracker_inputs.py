@@ -9,8 +9,12 @@ import pytest
 
 import tautline as tl
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
+from tautline.prediction import predict, predict_with_sigma
+from tautline.recording import Motor
 from tautline.tracking import State, Tracker
+from tautline.tracking.beyond import Beyond
+from tautline.tracking.law import LawFamily, calibrated_theta
 from tautline.tracking.passes import Passes
 from tools.tracking.sessions import Change, Instrument, Session, ideal_model, session
 
@@ -60,3 +64,41 @@ def test_a_model_of_next_to_no_width_has_no_more_cells_than_a_frame_has_time_for
         passes = Passes(replace(model, width=np.full(len(model.q), width)), width)
         assert len(passes.place) <= 4097
         assert width < 0.1 or np.diff(passes.place)[0] == pytest.approx(width / 16)
+
+
+@pytest.mark.parametrize("least", [0.0, 1e-7])
+@pytest.mark.parametrize("narrower", [1.0, 0.5])
+def test_the_share_of_b_is_told_beside_places_without_b(narrowing: Session, least: float, narrower: float) -> None:
+    """A play whose B is next to nothing in the middle is narrower than calibrated by a share, alike everywhere."""
+    model: Model = ideal_model(narrowing.instrument)
+    width = np.clip(0.4 * (np.abs(model.q) - 1.0), least, 0.4)
+    model = replace(model, width=width, width_sigma=np.full_like(width, 1e-3))
+    passes, rng, sigma = Passes(model, 0.4), np.random.default_rng(1), 1e-3
+    for stroke, way in enumerate((1, -1)):
+        for entry, y in enumerate(way * np.arange(-4.0, 4.0, 0.05), 200 * stroke):
+            q = y + way * 0.5 * narrower * np.interp(y, model.q, width)
+            passes.add(q, y + sigma * rng.normal(), sigma, 0.5, stroke, travel=2.0, entry=entry)
+    law = LawFamily(Beyond.prior(model)).law(calibrated_theta())
+    told = passes.narrowing(law, calibrated_theta(), 1.0, 0)
+    if narrower == 1.0:
+        assert told is None
+    else:
+        assert told is not None and told.sigma < 1.0 and abs(told.share - narrower) < 4.0 * told.sigma
+
+
+def test_a_stated_noise_of_none_at_all_is_no_usual_noise(narrowing: Session) -> None:
+    """A simulator's camera may have none: then sigma is that of the tables alone, and a tracker learns at once."""
+    model, recording = ideal_model(narrowing.instrument), narrowing.recording
+    exact = replace(model, uncertainty=Uncertainty(noise=0.0))
+    at = recording.marker.t_s[200:400] - model.delay_s
+    told, usual = (predict_with_sigma(each, recording.motor, at) for each in (exact, model))
+    tables = replace(exact, uncertainty=Uncertainty(noise=1e-9))
+    np.testing.assert_allclose(
+        told.c_sigma_deg, predict_with_sigma(tables, recording.motor, at).c_sigma_deg, rtol=1e-6, atol=1e-9
+    )
+    assert np.median(told.c_sigma_deg) < 0.5 * np.median(usual.c_sigma_deg)
+    tracker, quiet = Tracker(exact), Motor(recording.motor.t_s, recording.motor.q)
+    tracker.motor(quiet.t_s, quiet.q)
+    for t_s, place in zip(at, predict(exact, quiet, at).image_px, strict=True):
+        row = tracker.see(t_s + model.delay_s, *place)
+    assert np.isfinite([row.c_deg, row.offset_sigma, row.scale_sigma]).all() and tracker.state is State.TRUSTED

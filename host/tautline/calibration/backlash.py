@@ -308,12 +308,11 @@ class _WidthFit:
         gram, right = self.design.T @ (weight[:, None] * self.design), self.design.T @ (weight * self.w)
 
         def deviance(smoothing: float) -> float:
-            """-2 log restricted likelihood but for a constant. The roughness has rank size - 1: it is 0 of a constant
-            alone."""
+            """-2 log restricted likelihood but for a constant."""
             system = gram + smoothing * unit * self.basis.roughness
             system += _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
             explained = float(right @ np.linalg.solve(system, right))
-            return float(np.linalg.slogdet(system)[1]) - (len(gram) - 1) * math.log(smoothing) - explained
+            return float(np.linalg.slogdet(system)[1]) - self.basis.roughness_rank * math.log(smoothing) - explained
 
         return float(min(_SMOOTHINGS, key=deviance))
 

@@ -103,18 +103,24 @@ class AlignedTracks:
         return replace(self, offsets_s=offsets), replace(delay, delay_s=nominal_s)
 
 
-def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool = False) -> list[Recording]:
-    """Recordings with the offsets of their sensors' clocks taken off; none is where the tip of one of them follows a
-    step of the motor, as that tells a play and no clock. A lag that is no larger than a delay may be is not taken off:
-    an effect that is not known yet may make one motion's stops later than another's. one_clock: the session's
-    calibration had sensor and motor on one clock; then a lag of up to _NEAR_S is sooner an effect's than another
-    clock's, and is not taken off either."""
+def on_motor_clock(
+    recordings: Sequence[Recording], rig: Rig, *, one_clock: bool = False
+) -> tuple[list[Recording], tuple[Reason, ...]]:
+    """(Recordings with the offsets of their sensors' clocks taken off, the reasons: what was taken off, and which
+    offsets cannot be trusted). None is taken off where the tip of one of them follows a step of the motor, as that
+    tells a play and no clock. A lag that is no larger than a delay may be is not taken off: an effect that is not known
+    yet may make one motion's stops later than another's. one_clock: the session's calibration had sensor and motor on
+    one clock; then a lag of up to _NEAR_S is sooner an effect's than another clock's, and is not taken off either."""
     every, reach_s = observe(recordings, rig), _NEAR_S if one_clock else DELAY_REACH_S
     seen = [track for track in every if len(track.t_s)]
     aligned = align(seen, rig, same_delay_for_all=False, reach_s=reach_s)
     _, offsets_s = aligned.merged_into(every)
     pairs = zip(recordings, offsets_s, strict=True)
-    return [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]  # several may have one name
+    # What was taken off, also where `align` has reasons to refuse another track.
+    off = [_offset_reason(track, by_s) for track, by_s in zip(aligned.tracks, aligned.offsets_s, strict=True) if by_s]
+    # Several recordings may have one name.
+    on_clock = [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]
+    return on_clock, tuple(dict.fromkeys([*off, *aligned.reasons]))
 
 
 def align(

@@ -30,13 +30,13 @@ class Gap:
 
     def says(self, unit: str) -> str:
         """The gap in words. unit: of q."""
-        return f"{not_measured((self.low, self.high), unit)}: {self.why}"
+        return f"{not_measured([(self.low, self.high)], unit)}: {self.why}"
 
 
-def not_measured(span: Span, unit: str) -> str:
-    """The words that B is not known from span[0] to span[1], in q's unit, as reports and live calibrations have
-    them."""
-    return f"B is not measured from {span[0]:.3g} to {span[1]:.3g} {unit}"
+def not_measured(spans: Sequence[Span], unit: str) -> str:
+    """The words that B is not known in these spans, each from its lowest to its highest position in q's unit, as
+    reports and live calibrations have them."""
+    return f"B is not measured {' and '.join(f'from {low:.3g} to {high:.3g} {unit}' for low, high in spans)}"
 
 
 def seeable(model: Model, low: float, high: float) -> Span:
@@ -68,19 +68,18 @@ def gaps(model: Model, apart: Array | None) -> tuple[Gap, ...]:
     passed = np.ones(len(model.q), dtype=bool) if apart is None else apart <= HOLE * (high - low)
     from_turn, to_turn = model.measured  # equal if no range of turns was measured
     turned = (model.q >= from_turn) & (model.q <= to_turn) & (from_turn < to_turn)
-    missing = np.flatnonzero(~(passed & turned) & (model.q >= first) & (model.q <= last))
+    seen = np.flatnonzero((model.q >= first) & (model.q <= last))
+    missing = seen[~(passed & turned)[seen]]
     runs = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1) if len(missing) else []
     unturned = "no turn there gave a width" if apart is None else "passed both ways, but no turn there gave a width"
     why = ["never passed both ways" if not passed[run].all() else unturned for run in runs]
-    return tuple(Gap(*_to_the_ends(model.q, run, first, last), each) for run, each in zip(runs, why, strict=True))
+    return tuple(Gap(*_to_the_ends(model.q, run, seen), each) for run, each in zip(runs, why, strict=True))
 
 
-def _to_the_ends(q: Array, run: npt.NDArray[np.intp], first: float, last: float) -> Span:
-    """Lowest and highest position of a run of indices of the grid q (grid,). A run that reaches `first` or `last`, the
-    ends of what can be seen, is extended to that end of the grid."""
-    step = float(q[1] - q[0])
-    low, high = float(q[run[0]]), float(q[run[-1]])
-    return float(q[0]) if low < first + step else low, float(q[-1]) if high > last - step else high
+def _to_the_ends(q: Array, run: npt.NDArray[np.intp], seen: npt.NDArray[np.intp]) -> Span:
+    """Lowest and highest position of a run of indices of the grid q (grid,). A run that reaches the first or the last
+    index of `seen`, the nodes where B can be seen, is extended to that end of the grid."""
+    return float(q[0 if run[0] == seen[0] else run[0]]), float(q[-1 if run[-1] == seen[-1] else run[-1]])
 
 
 def _neighbours(p: Array, at: Array) -> Array:

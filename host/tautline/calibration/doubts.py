@@ -263,7 +263,7 @@ def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[floa
     smooth, waved = np.inf, (np.inf, 0, np.zeros(2))
     for smoothing in _SMOOTHINGS * float(np.median(weight)):
         system = tells + smoothing * np.maximum(bends, 0.0)
-        volume = float(np.sum(np.log(system)) + np.linalg.slogdet(along)[1]) - (basis.size - 2) * np.log(smoothing)
+        volume = float(np.sum(np.log(system)) + np.linalg.slogdet(along)[1]) - basis.bending_rank * np.log(smoothing)
         without = float(weight @ y**2 - np.sum(y_seen**2 / system)) + volume
         pull = waves @ (weight * y) - waves_seen @ (y_seen / system)
         information = information_alone - (waves_seen / system) @ waves_seen.transpose(0, 2, 1)

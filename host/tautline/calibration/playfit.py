@@ -385,7 +385,7 @@ class PlayFit:
         beforehand at some places, only the bending between these is penalised."""
         known = self._path_beforehand(channels)
         if known is None:
-            return self.follow.bending, self.follow.size - 2
+            return self.follow.bending, self.follow.bending_rank
         return free_bending(self.follow, tuple(known.path[0].q.tolist()))
 
     def hold_at_limits(self, curves: Curves, matrix: Array, gradient: Array) -> None:
@@ -399,14 +399,13 @@ class PlayFit:
 
     def begin_smoothing(self, curves: Curves, scale: float) -> None:
         """Sets each smoothing factor to scale^2 rank / (c' P c), the one at which a curve with coefficients c is as
-        rough as its prior has it. P is its penalty's matrix; rank is that of P, for B that of its second differences
-        alone. scale: rms residual over noise."""
+        rough as its prior has it. P is its penalty's matrix, rank that of P. scale: rms residual over noise."""
         bending, rank = self._bending(curves.follow.shape[1])
         rough = sum(float(c @ bending @ c) for c in curves.follow.T)
         rank *= curves.follow.shape[1]
         self.smoothing["follow"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), _BEGINS, _MOST_SMOOTHING))
         rough = float(curves.backlash @ self.backlash.roughness @ curves.backlash)
-        rank = self.backlash.size - 2
+        rank = self.backlash.roughness_rank
         self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), _BEGINS, _MOST_SMOOTHING))
 
     def adapt_smoothing(self, curves: Curves, system: Array, scale: float) -> None:
@@ -421,7 +420,7 @@ class PlayFit:
             ("follow", layout.follow, bending, rank, list(curves.follow.T))
         ]
         if self.fit_backlash:
-            roughness, rank_b = self.backlash.roughness, self.backlash.size - 2
+            roughness, rank_b = self.backlash.roughness, self.backlash.roughness_rank
             parts.append(("backlash", [layout.backlash], roughness, rank_b, [curves.backlash]))
         for name, blocks, form, rank_each, coefficients in parts:
             now = self.smoothing[name]

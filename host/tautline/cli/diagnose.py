@@ -18,6 +18,7 @@ from tautline.cli._common import (
     progress_bar,
     read_recordings,
     rig_option,
+    warn,
     warn_unusable,
 )
 from tautline.cli._live import LiveOptions, live_options, opened_setup, options_given, refuse_live_options
@@ -210,11 +211,13 @@ def _log_topics(document: Mapping[str, Any]) -> None:
 def _calibrate_first(
     recordings: list[Recording], rig: Rig, path: Path, progress: Progress
 ) -> tuple[Calibration, list[Recording]]:
-    """Calibrates on the first recording. Returns the calibration and all recordings, put on the motor's clock. Prints a
-    warning where the calibration is unusable. path: of the first recording, for that warning; progress: is taken from 0
-    to 0.3."""
-    calibration, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
+    """Calibrates on the first recording. Returns the calibration and all recordings, put on the motor's clock. Prints
+    warnings where the calibration is unusable, and where a test's clock was off or cannot be told. path: of the first
+    recording, for the first one; progress: is taken from 0 to 0.3."""
+    calibration, recordings, of_clocks = calibrated(recordings, rig, lambda share, text: progress(0.3 * share, text))
     warn_unusable(calibration.model, path)
+    for reason in of_clocks:
+        warn(str(reason))
     return calibration, recordings
 
 

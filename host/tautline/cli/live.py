@@ -154,7 +154,7 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
     recordings, rig = read_recordings([path], rig_path)
     with progress_bar("calibrating") as progress:
-        calibration, recordings = calibrated(recordings, rig, progress)
+        calibration, recordings, _ = calibrated(recordings, rig, progress)  # no tests, whose clocks might be off
     warn_unusable(calibration.model, path)
     with opened_setup(live, rig_path, seed, model=calibration.model) as setup, setup.interruptible():
         work = Diagnosing(setup, calibration, recordings, out, lambda: free_recordings(out.absolute()))

@@ -129,7 +129,7 @@ class Joined:
         power = max(float(np.mean(self.residual**2)), self._floor2)
         self._broad = _isotropic_log_density(np.sum(self.residual**2, axis=1), power, self.coordinates)
         self._begins = ~np.concatenate([part.follows for part in parts])
-        self._period_s = float(np.median(np.repeat([p.period_s for p in parts], [len(p.block) for p in parts])))
+        self._periods_s = [part.period_s for part in parts]
         # Log-densities of an observation that is where that of the frame before was, or twice as far from there as
         # predicted; both frames have the noise floor^2.
         moved = joined(lambda f: f.moved)
@@ -386,19 +386,15 @@ class Joined:
 
     def _in_regimes(self, quiet: Array, disturbed: Array, third: Array | None = None) -> Array:
         """(n,) Log-density of each frame given those before it, of frames that are quiet, or for a while disturbed, or
-        for a while follow a third law, times being counted in the usual period of all recordings; quiet, disturbed,
+        for a while follow a third law, times being counted in the usual period of each recording; quiet, disturbed,
         third: (n,) log-densities."""
-        begin, end, turn = (
-            min(0.5, self._period_s / mean_s) for mean_s in (_DISTURBED_EVERY_S, _DISTURBED_S, _STICKS_S)
-        )
-        transition = np.array([[1.0 - begin, begin], [end, 1.0 - end]])
-        initial = np.array([end, begin]) / (begin + end)
-        of_each = [quiet, disturbed]
-        if third is not None:
-            of_each.append(third)
-            transition = np.block([[(1.0 - turn) * transition, np.full((2, 1), turn)], [turn, 0.0, 1.0 - turn]])
-            initial = 0.5 * np.append(initial, 1.0)
-        return np.asarray(_native.regimes_forward(np.column_stack(of_each), self._begins, transition, initial))
+        of_each = np.column_stack([quiet, disturbed] if third is None else [quiet, disturbed, third])
+        forward = []
+        for number, usual_s in enumerate(self._periods_s):
+            rows = self._recording == number
+            transition, initial = _regimes(usual_s, third is not None)
+            forward.append(_native.regimes_forward(of_each[rows], self._begins[rows], transition, initial))
+        return np.concatenate(forward)
 
     def repeats(self, share: float) -> Array:
         """(n,) Log-density of a link that shows the frame before again in place of this share of the frames; such a
@@ -407,6 +403,19 @@ class Joined:
         along, across2 = self._by_median_wait
         fresh = _isotropic_log_density(along**2 + across2, self._floor2, self.coordinates)
         return np.asarray(np.logaddexp(np.log(share) + self._repeated, np.log1p(-share) + fresh))
+
+
+def _regimes(usual_s: float, with_third: bool) -> tuple[Array, Array]:
+    """(Probabilities (m, m) that a frame of the row's regime is followed by one of the column's; those (m,) of the
+    first frame's regime): quiet, disturbed and, with_third, a third law, m = 2 or 3. usual_s: from frame to frame, s.
+    """
+    begin, end, turn = (min(0.5, usual_s / mean_s) for mean_s in (_DISTURBED_EVERY_S, _DISTURBED_S, _STICKS_S))
+    transition = np.array([[1.0 - begin, begin], [end, 1.0 - end]])
+    initial = np.array([end, begin]) / (begin + end)
+    if with_third:
+        transition = np.block([[(1.0 - turn) * transition, np.full((2, 1), turn)], [turn, 0.0, 1.0 - turn]])
+        initial = 0.5 * np.append(initial, 1.0)
+    return transition, initial
 
 
 def _normal_of_lines(left: npt.NDArray[np.int64], share: Array, y: Array) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.clock import on_motor_clock
 from tautline.calibration.result import Calibration
+from tautline.quality import Reason
 from tautline.recording import Recording, shifted
 from tautline.rig import Rig
 from tautline.vision.marker import with_marker
@@ -33,10 +34,10 @@ def with_markers(recordings: Sequence[Recording], rig: Rig, progress: Progress) 
 
 def calibrated(
     recordings: Sequence[Recording], rig: Rig, progress: Progress = lambda fraction, text: None
-) -> tuple[Calibration, list[Recording]]:
-    """(A calibration on the first recording, all recordings on the motor's clock); the marker is tracked in recordings
-    that have only a video. progress: called with the share that is done, 0 to 1, and what is done now. TautError where
-    nothing can be measured."""
+) -> tuple[Calibration, list[Recording], tuple[Reason, ...]]:
+    """(A calibration on the first recording, all recordings on the motor's clock, what there is to say of the others'
+    clocks); the marker is tracked in recordings that have only a video. progress: called with the share that is done, 0
+    to 1, and what is done now. TautError where nothing can be measured."""
     seen = with_markers(recordings, rig, lambda fraction, text: progress(_TRACKING * fraction, text))
     before = 0.0 if all(new is old for new, old in zip(seen, recordings, strict=True)) else _TRACKING
 
@@ -47,5 +48,5 @@ def calibrated(
     calibration = calibrate(
         seen[:1], rig, progress=report_calibration, naming=False
     )  # a diagnosis names what is in all of them
-    tests = on_motor_clock(seen[1:], rig, one_clock=not calibration.offsets)
-    return calibration, [*shifted(seen[:1], calibration.offsets), *tests]
+    tests, of_clocks = on_motor_clock(seen[1:], rig, one_clock=not calibration.offsets)
+    return calibration, [*shifted(seen[:1], calibration.offsets), *tests], of_clocks

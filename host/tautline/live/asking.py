@@ -133,7 +133,10 @@ def diagnose_live(
         asked.append(following.why if following else _FIRST)
         record(live, path, motion_file, seen=seen, progress=_progress_of_recording(path.name, progress))
         made.append(path)
-        recordings += on_motor_clock([load(path, live.rig)], live.rig, one_clock=not calibrated_on.offsets)
+        on_clock, of_clock = on_motor_clock([load(path, live.rig)], live.rig, one_clock=not calibrated_on.offsets)
+        for reason in of_clock:
+            say(str(reason))
+        recordings += on_clock
 
 
 def _progress_of_recording(name: str, progress: Progress) -> Progress:

@@ -66,7 +66,7 @@ def inject(link: SimLink, axis: int, name: str) -> None:
 
 
 def show(live: Live, name: str) -> Noticed:
-    """Causes a fault, a key of FAULTS, on a simulated board whose axis is referenced: before a check of motor and
+    """Causes a fault, a key of FAULTS, once, on a simulated board whose axis is referenced: before a check of motor and
     encoder, or _RUN_S into a move. Returns how and when the board noticed it, from the error that this raises.
     TautError where the board notices nothing within _PATIENCE_S, or another error came."""
     assert live.plant is not None
@@ -76,17 +76,18 @@ def show(live: Live, name: str) -> Noticed:
             inject(live.plant.link, live.axis, name)
             live.board.ask("check", axis=live.axis)
             _wait_for_fault(live)
-        with driving(live):
-            q = _SHARE * live.rig.actuator.span / live.resolution  # counts
-            live.board.ask("move", axis=live.axis, q=q, speed_s=0.25 * q)
-            live.wait(_RUN_S)
-            injected_s = live.plant.now_s
-            if FAULTS[name].request is None:
-                while live.plant.now_s < injected_s + _PATIENCE_S:
-                    live.plant.advance_to(live.plant.now_s + _SLICE_S)
-            else:
-                inject(live.plant.link, live.axis, name)
-            _wait_for_fault(live)
+        else:
+            with driving(live):
+                q = _SHARE * live.rig.actuator.span / live.resolution  # counts
+                live.board.ask("move", axis=live.axis, q=q, speed_s=0.25 * q)
+                live.wait(_RUN_S)
+                injected_s = live.plant.now_s
+                if FAULTS[name].request is None:
+                    while live.plant.now_s < injected_s + _PATIENCE_S:
+                        live.plant.advance_to(live.plant.now_s + _SLICE_S)
+                else:
+                    inject(live.plant.link, live.axis, name)
+                _wait_for_fault(live)
     except TautError as error:
         seen = _what_was_noticed(live, str(error), injected_s)
         if seen.fault == "NONE":

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.coverage import not_measured, seeable
+from tautline.calibration.coverage import Gap, not_measured
 from tautline.calibration.onset import BOUND
 from tautline.calibration.result import Calibration
 from tautline.effects import OWNER
@@ -142,8 +142,7 @@ class Standing:
     where: float  # position, unit of q
     need: tuple[Place, ...]  # where sigma is above _AIM times the goal
     ends: Span  # of what is measured, unit of q
-    missing: Span  # where B could be measured and is not yet, unit of q: (0, 0), nowhere, up to the whole range, where
-    # both of its ends are missing (`_unmeasured`)
+    missing: tuple[Gap, ...]  # where B can be seen and is not measured yet, the lowest first
     widest: float  # the largest B, unit of q
     unmoved: float  # the longest stroke that moved nothing, unit of q; 0 where none did
     work: float  # time that the goal takes everywhere, in times of the time so far
@@ -161,8 +160,9 @@ class Standing:
         inside = model.is_measured
         if not inside.any() or model.measured[0] >= model.measured[1]:
             return cls(
-                worst=np.inf, where=0.5 * (low + high), need=(), ends=(low, high), missing=(low, high), widest=0.0,
-                unmoved=unmoved, work=np.inf, doubt=doubt,
+                worst=np.inf, where=0.5 * (low + high), need=(), ends=(low, high),
+                missing=(Gap(low, high, "no turn gave a width"),), widest=0.0, unmoved=unmoved, work=np.inf,
+                doubt=doubt,
             )  # fmt: skip
         q, widest = model.q[inside], float(model.width[inside].max())
         sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
@@ -172,7 +172,7 @@ class Standing:
             where=float(q[worst]),
             need=_insufficient_places(q, sigma, until, widest),
             ends=(float(q[0]), float(q[-1])),
-            missing=_unmeasured(calibration, low, high),
+            missing=calibration.gaps,
             widest=widest,
             unmoved=unmoved,
             work=float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),  # variance falls as time grows
@@ -183,7 +183,7 @@ class Standing:
     @property
     def covered(self) -> bool:
         """Whether B is measured, well or not, wherever it can be seen, but for a little at the ends."""
-        return self.missing[0] >= self.missing[1]
+        return not self.missing
 
     def reached(self, until: float) -> bool:
         """Whether sigma of B is `until` or less, unit of q, wherever B can be seen."""
@@ -207,19 +207,6 @@ def check_speeds(speeds: Sequence[float], top_speed: float, unit: str) -> None:
     """TautError where a speed is above the axis' top speed, unit of q per s."""
     if max(speeds) > _ABOVE * top_speed:
         raise TautError(f"the axis moves at {top_speed:.6g} {unit}/s at most: give --speed up to that")
-
-
-def _unmeasured(calibration: Calibration, low: float, high: float) -> Span:
-    """Returns the positions (from, to), unit of q, where B could be seen (all but B/2 and a little at either end of the
-    range) and is not measured yet: the whole range, low to high, if both ends are missing, (0, 0) if none is."""
-    model = calibration.model
-    first, last = seeable(model, low, high)
-    below, above = model.measured[0] > first, model.measured[1] < last
-    if below and above:
-        return low, high
-    if below:
-        return low, float(model.measured[0])
-    return (float(model.measured[1]), high) if above else (0.0, 0.0)
 
 
 def default_until(actuator: Actuator) -> float:
@@ -288,7 +275,7 @@ def slower_pass_tells(means: Means, standing: Standing, until: float, done: Sequ
 def why_another(standing: Standing, until: float, unit: str, done: Sequence[Round | Strokes]) -> str:
     """Says why another round follows those that are `done`. until: the goal, a sigma of B in unit of q."""
     if not standing.covered:
-        return f"{not_measured(standing.missing, unit)} yet"
+        return f"{not_measured([(gap.low, gap.high) for gap in standing.missing], unit)} yet"
     sigma, wanted = in_words(standing.worst, unit), in_words(until, unit)
     if standing.by_speed and not standing.reached(until):
         return f"sigma is {sigma} where {wanted} is wanted, as B may go with the motor's speed"
@@ -388,7 +375,6 @@ def why_not(
 
 def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
     """Says why B could not be measured in a part of the range, with a remedy."""
-    low, high = standing.missing
     if camera.unseen[0] < camera.unseen[1]:
         return _marker_not_seen(camera, unit)
     if standing.unmoved > 0:
@@ -396,7 +382,8 @@ def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
             f"strokes of {standing.unmoved:.3g} {unit} moved nothing: the range leaves no room to cross the backlash: "
             "check that the tip is free to move, or widen actuator.range in rig.toml"
         )
-    return f"no reversal from {low:.3g} to {high:.3g} {unit} gave a width: is the tip free to move there?"
+    missing = "; ".join(gap.says(unit) for gap in standing.missing)
+    return f"{missing}; see that the tip is free to move there and that the marker is found"
 
 
 def _marker_not_seen(camera: CameraView, unit: str) -> str:

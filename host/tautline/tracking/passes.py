@@ -109,23 +109,28 @@ class Passes:
 
     def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
         """The least share of the calibrated B at the places where the tip is clearly ahead of the law in use (theta) on
-        its last passes both ways since the entry `since`; an offset would put it behind on one of them. level: rms of
-        residuals over sigma that the law leaves. None where it is ahead nowhere, or by less than the share _LEAST of
-        the law's B."""
+        its last passes both ways since the entry `since`; an offset would put it behind on one of them. Where B is no
+        more than its passes' sigma, or 0, there is no share. level: rms of residuals over sigma that the law leaves.
+        None where it is ahead nowhere, or by less than the share _LEAST of the law's B."""
         late = self._lateness(law, theta, since)
         sigma = level * self._passes[:, _SIGMA]
         first = self._windows_ahead(late, sigma, level)
         if len(first) == 0:
             return None
-        share = 2.0 * (late.max(0) + self._half) / self._b  # of B, by the pass that is less ahead
-        inside = np.zeros(len(share), dtype=bool)  # whether a cell is in any of these windows
+        inside = np.zeros(len(self._b), dtype=bool)  # whether a cell is in any of these windows
         for i in range(_WINDOW):
             inside[first + i] = True
-        at = int(np.argmin(np.where(inside, share, np.inf)))
-        least = max(float(share[at]), 0.0)
-        if least > (1.0 - _LEAST) * 2.0 * self._half[at] / self._b[at]:
+        of_both = np.hypot(*sigma)
+        cells = np.flatnonzero(inside & (self._b > of_both))
+        if len(cells) == 0:
             return None
-        return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]))
+        b, half = self._b[cells], self._half[cells]
+        share = 2.0 * (late.max(0)[cells] + half) / b  # of B, by the pass that is less ahead
+        at = int(np.argmin(share))
+        least = max(float(share[at]), 0.0)
+        if least > (1.0 - _LEAST) * 2.0 * half[at] / b[at]:
+            return None
+        return Narrowing(least, float(of_both[cells[at]] / b[at]))
 
     def _lateness(self, law: Law, theta: Array, since: int) -> Array:
         """(2, places) By how much the motor was farther ahead of the tip than a law (theta) has it on its envelopes,

@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from tautline import _native
+from tautline.core.samples import least_noise
 from tautline.geometry import STRIDE_DEG, projection_rig
 from tautline.model import Model
-from tautline.rig import Sensor
+from tautline.rig import MARKER, Sensor
 
 _TURNS = 12  # tolerance: of Newton's steps
 _CLOSE, _FARTHEST = 1e-8, 180.0  # tolerance: deg, of the last step; half a turn
@@ -36,8 +37,9 @@ class Projection:
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of a reading by the calibration: px per coordinate of a marker, deg of an angle sensor."""
-        return self.model.noise_of(self.sensor)
+        """Standard deviation of a reading by the calibration: px per coordinate of a marker, deg of an angle sensor. At
+        least what a sensor is taken to have, so above 0."""
+        return max(self.model.noise_of(self.sensor), least_noise("px" if self.sensor == MARKER else "deg"))
 
     @cached_property
     def _rig(self) -> np.ndarray:

@@ -38,9 +38,9 @@ class Played:
         if recording.marker is None or not rig.has_camera:
             raise TautError(f"{recording.name}: holds no marker: the page plays what a camera saw")
         self.rig, self._whole, self._marker = rig, recording, recording.marker
-        aligned = on_motor_clock([recording], rig)[0].marker
-        assert aligned is not None
-        self._t_s = aligned.t_s  # of the frames, on the motor's clock
+        (aligned,), _ = on_motor_clock([recording], rig)  # what is to be said of its clock a calibration of it says
+        assert aligned.marker is not None
+        self._t_s = aligned.marker.t_s  # of the frames, on the motor's clock
         self._at = -1  # the frame that was played last
         nothing = Sighting(np.nan, np.nan, np.nan, np.nan, "nothing was played yet")
         self._frame = Frame(self.now_us(), nothing, None)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from tautline.calibration.coverage import not_measured
 from tautline.calibration.result import Calibration
 from tautline.diagnosis.narration import SHOWN, sentence
 from tautline.geometry import coarse_range_deg, project
@@ -85,8 +84,7 @@ def progress_document(view: View) -> dict[str, Any]:
 
 def missing_in_words(view: View) -> list[str]:
     """Says in sentences, one for each thing, what is missing for the goal of a live calibration, a sigma of B; [] where
-    nothing is. Where both ends of the range are unmeasured, the measured part is named in their place, if there is
-    one."""
+    nothing is."""
     unit, standing = view.unit, view.standing
     said = []
     if view.coverage < 1.0:
@@ -96,11 +94,7 @@ def missing_in_words(view: View) -> list[str]:
         said.append(f"the marker is mostly lost from {low:.3g} to {high:.3g} {unit}")
     if standing is None or view.until is None:
         return said
-    both_ends_missing = standing.missing == (view.low, view.high)
-    if both_ends_missing and standing.ends != standing.missing:
-        said.append(f"B is measured only from {standing.ends[0]:.3g} to {standing.ends[1]:.3g} {unit}")
-    elif not standing.covered:
-        said.append(not_measured(standing.missing, unit))
+    said += [gap.says(unit) for gap in standing.missing]
     said += [
         f"sigma of B is {in_words(place.sigma, unit)} from {place.low:.3g} to {place.high:.3g} {unit}"
         for place in standing.need

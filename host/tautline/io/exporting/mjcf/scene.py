@@ -62,20 +62,13 @@ class Scene:
 
         self.mj, self.nominal, self.law = mujoco, nominal, law
         self.spec = mujoco.MjSpec.from_file(str(nominal.path))
-        self.added: list[float] = []  # references of the slides, in order
         self.mass = max(_HEAVY * nominal.inertia * law.steepest**2, _LIGHTEST)  # of a slide
         self.stiff = [_STEPS * nominal.timestep, 1.0]  # solref of the constraints
         self._add_tip_sensors()
 
     def text(self, out: Path) -> str:
-        """The MJCF as text, for a file in the folder `out`, from which its meshes and textures are named. It is called
-        once, after all parts were added, as it appends the slides' positions to the file's key frames. TautError where
-        MuJoCo cannot compile it."""
-        for key in self.spec.keys:  # the slides' coordinates come after those of the user's file
-            if len(key.qpos):
-                key.qpos = [*key.qpos, *self.added]
-            if len(key.qvel):
-                key.qvel = [*key.qvel, *([0.0] * len(self.added))]
+        """The MJCF as text, with the parts added so far, for a file in the folder `out`, from which its meshes and
+        textures are named. TautError where MuJoCo cannot compile it."""
         try:
             self.spec.compile()
             text = str(self.spec.to_xml())
@@ -96,7 +89,7 @@ class Scene:
 
     def add_slide(self, name: str, mass: float, reference: float) -> Any:
         """Adds a body on a slide joint, both called `name`, whose reference position is `reference`; gravity does not
-        act on it. mass: kg. Returns the joint (of mujoco.MjSpec)."""
+        act on it. The file's key frames have it at rest there. mass: kg. Returns the joint (of mujoco.MjSpec)."""
         body = self.spec.worldbody.add_body(
             name=name,
             gravcomp=1.0,
@@ -106,7 +99,11 @@ class Scene:
             ipos=[0.0, 0.0, 0.0],
             iquat=[1.0, 0.0, 0.0, 0.0],
         )
-        self.added.append(reference)
+        for key in self.spec.keys:  # a slide's coordinate comes after those of the user's file
+            if len(key.qpos):
+                key.qpos = [*key.qpos, reference]
+            if len(key.qvel):
+                key.qvel = [*key.qvel, 0.0]
         return body.add_joint(
             name=name, type=self.mj.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0], ref=reference, damping=[0.0, 0.0, 0.0]
         )
