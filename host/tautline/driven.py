@@ -25,7 +25,6 @@ _RARER = 0.1  # tolerance: times the square of the usual change, a sweep
 _RAREST = 1e-9  # tolerance: square of the usual change in a node's time, of a step: what double precision carries
 _NONE = 1e-2  # tolerance: of the largest jump of speed between two readings: none
 _SWEEPS = 48  # tolerance: at most
-_BLOCK = 8192  # tolerance: readings at a time, which stay in the fastest caches
 _SETTLED = 1e-3  # tolerance: log probability of a reading that one more sweep must bring
 
 
@@ -159,25 +158,14 @@ def third_differences(t_s: Array, q: Array) -> tuple[Array, Array]:
     """For each four neighbouring readings q (n,) at rising times t_s (n,), the linear combination that is 0 on any
     parabola of time. Returns its factors (n - 3, 4), whose squares sum to 1, and its values (n - 3,): those of white
     noise have the noise's own variance."""
-    if len(q) < 4:
-        return np.zeros((0, 4)), np.zeros(0)
-    gap = np.diff(t_s)
-    a, b, c = gap[:-2], gap[1:-1], gap[2:]
-    first, last = a + b, b + c
-    every = first + c
-    # The divided difference times the product of its six intervals, so that no gap is divided by.
-    factors = np.stack([b * c * -last, c * first * every, -a * last * every, a * b * first])
-    factors /= np.maximum(np.sqrt(np.sum(factors**2, axis=0)), 1e-300)
-    third = sum(factor * q[i : len(q) - 3 + i] for i, factor in enumerate(factors))
-    return factors.T, np.asarray(third)
+    factors, values = _native.third_differences_with_factors(t_s, q)
+    return factors, values
 
 
 def white_noise(t_s: Array, q: Array) -> float:
     """Standard deviation of the white noise on readings q (n,) of a smooth motion at rising times t_s (n,), s, in their
     unit: from the median size of their third differences; 0 for fewer than four."""
-    blocks = range(0, len(q) - 3, _BLOCK)
-    third = [third_differences(t_s[i : i + _BLOCK + 3], q[i : i + _BLOCK + 3])[1] for i in blocks]
-    return spread.deviation_of_squares(np.concatenate(third) ** 2) if third else 0.0
+    return spread.deviation_of_squares(_native.third_differences(t_s, q) ** 2) if len(q) > 3 else 0.0
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
