@@ -55,7 +55,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
     reading = np.zeros(len(nodes))  # at each node that has one, in steps from the first
     reading[::parts] = (readings - zero) / step
     found = _fitted_path(order, np.diff(nodes) / usual_s, reading, read, rounded)
-    mean, sigma = found.mean.copy(), found.sigma
+    mean, sigma = found.mean.copy(), np.sqrt(found.variance)
     # Block means put the first and last node into the middle of their blocks: the path is prolonged to the ends.
     ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
@@ -69,11 +69,11 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
 
 @dataclass(frozen=True)
 class _Swept:
-    """A path at nodes (n,) after a sweep, positions and sigmas in the encoder's steps."""
+    """A path at nodes (n,) after a sweep, positions in the encoder's steps, variances in their squares."""
 
     told: float  # log probability of the readings, each left out in turn
     mean: Array  # (n,)
-    sigma: Array  # (n,)
+    variance: Array  # (n,)
     noise: float  # of the readings
 
 
@@ -91,7 +91,7 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
     force = precision * reading
     jumped, variance = np.full(len(change), -1.0), np.zeros(size)
     jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf  # usual change, squared; the sweep before's probability
-    best = _Swept(-np.inf, state.copy(), np.full(size, noise), noise)
+    best = _Swept(-np.inf, state.copy(), np.full(size, noise**2), noise)
     for _ in range(_SWEEPS):
         # It changes its last five arguments in place: positions; of each reading as a Gaussian its precision and that
         # times its mean; mean squares of the changes; variance of the positions. holds: no number failed; scatter: the
@@ -103,7 +103,7 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
             break
         noise = max(scatter, _NO_NOISE)
         if told > best.told:
-            best = _Swept(told, state.copy(), np.sqrt(variance), noise)
+            best = _Swept(told, state.copy(), variance.copy(), noise)
         if jump == _RAREST and told - before < _SETTLED * len(seen):
             break
         jump, before = max(_RARER * jump, _RAREST), told
