@@ -81,10 +81,10 @@ void add_sparse(const std::vector<Block> &blocks, Values weight, Values residual
     if (!holds || columns != size) {
         throw std::invalid_argument("sparse rows, their columns rising, do not fit the matrix");
     }
-    std::vector<size_t> at(longest);
+    std::vector<size_t> at(longest), end(longest);
     std::vector<double> entry(longest);
     nb::gil_scoped_release unlocked;
-    normal_add_sparse(all.data(), all.size(), weight.data(), residual.data(), rows, at.data(), entry.data(),
+    normal_add_sparse(all.data(), all.size(), weight.data(), residual.data(), rows, at.data(), end.data(), entry.data(),
                       matrix.data(), gradient.data());
 }
 

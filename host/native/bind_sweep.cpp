@@ -26,7 +26,7 @@ nb::tuple once(ArrayIn<double, 2> change, ArrayIn<double> reading, ArrayIn<unsig
     int holds = 0;
     {
         nb::gil_scoped_release unlocked;
-        const std::unique_ptr<double[]> work(new double[(nodes + 2 * SWEEP_ORDER) * SWEEP_WORK]);
+        const std::unique_ptr<double[]> work(new double[(nodes + SWEEP_ORDER) * SWEEP_WORK]);
         holds = sweep(&path, work.get());
     }
     return nb::make_tuple(holds != 0, path.noise, path.told);

@@ -96,8 +96,15 @@ void normal_add(const struct normal_rows *rows, const struct spline_basis *width
     mirror(matrix, m);
 }
 
+// Entries of neighbouring columns.
+static inline void add_run(double part, const double *restrict entry, size_t count, double *restrict into) {
+    for (size_t k = 0; k < count; k++) {
+        into[k] += part * entry[k];
+    }
+}
+
 void normal_add_sparse(const struct normal_sparse *blocks, size_t count, const double *weight, const double *residual,
-                       size_t rows, size_t *at, double *entry, double *matrix, double *gradient) {
+                       size_t rows, size_t *at, size_t *end, double *entry, double *matrix, double *gradient) {
     size_t m = 0;
     for (size_t b = 0; b < count; b++) {
         m += blocks[b].size;
@@ -111,12 +118,15 @@ void normal_add_sparse(const struct normal_sparse *blocks, size_t count, const d
             }
             before += blocks[b].size;
         }
+        for (size_t i = entries; i-- > 0;) {
+            end[i] = i + 1 < entries && at[i + 1] == at[i] + 1 ? end[i + 1] : i + 1;
+        }
         for (size_t j = 0; j < entries; j++) {
             const double part = weight[r] * entry[j];
             double *into = matrix + at[j] * m;
             gradient[at[j]] += part * residual[r];
-            for (size_t i = 0; i <= j; i++) {
-                into[at[i]] += part * entry[i];
+            for (size_t i = 0; i <= j; i = end[i]) {
+                add_run(part, entry + i, (end[i] <= j ? end[i] : j + 1) - i, into + at[i]);
             }
         }
     }

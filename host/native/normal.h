@@ -40,10 +40,10 @@ struct normal_sparse {
 };
 
 // Adds J'WJ to matrix (m, m), symmetric before, and J'Wr to gradient (m), J being the blocks side by side and m the sum
-// of their sizes; weight, residual: (rows). at, entry: room for the longest row of J. About 2 ns for each pair of
+// of their sizes; weight, residual: (rows). at, end, entry: room for the longest row of J. About 2 ns for each pair of
 // entries of a row, a fifth of what scipy's product takes.
 void normal_add_sparse(const struct normal_sparse *blocks, size_t count, const double *weight, const double *residual,
-                       size_t rows, size_t *at, double *entry, double *matrix, double *gradient);
+                       size_t rows, size_t *at, size_t *end, double *entry, double *matrix, double *gradient);
 
 #ifdef __cplusplus
 }

@@ -37,6 +37,15 @@ static inline void spline_values(double t, double value[SPLINE_CUBIC]) {
     value[3] = t * t * t * sixth;
 }
 
+// Their derivatives by t.
+static inline void spline_slopes(double t, double slope[SPLINE_CUBIC]) {
+    const double s = 1.0 - t;
+    slope[0] = -0.5 * s * s;
+    slope[1] = (1.5 * t - 2.0) * t;
+    slope[2] = (2.0 - 1.5 * s) * s;
+    slope[3] = 0.5 * t * t;
+}
+
 #ifdef __cplusplus
 }
 #endif

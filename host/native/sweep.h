@@ -31,7 +31,7 @@ enum { SWEEP_WORK = SWEEP_ORDER + 2 }; // a node
 
 // Once through: the Gaussian path (state, variance) by what readings and changes were said to be, then each of those
 // by the path. Changes are Student-t of one degree as Gaussians of unknown variance (a variational bound), the
-// readings are matched in their moments (expectation propagation). work: (nodes + 2 * SWEEP_ORDER) * SWEEP_WORK.
+// readings are matched in their moments (expectation propagation). work: (nodes + SWEEP_ORDER) * SWEEP_WORK.
 // Returns 0 where the numbers do not hold: then nothing of it is to be used.
 int sweep(sweep_t *path, double *work);
 

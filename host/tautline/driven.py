@@ -25,7 +25,6 @@ _RARER = 0.1  # tolerance: times the square of the usual change, a sweep
 _RAREST = 1e-9  # tolerance: square of the usual change in a node's time, of a step: what double precision carries
 _NONE = 1e-2  # tolerance: of the largest jump of speed between two readings: none
 _SWEEPS = 48  # tolerance: at most
-_BLOCK = 8192  # tolerance: readings at a time, which stay in the fastest caches
 _SETTLED = 1e-3  # tolerance: log probability of a reading that one more sweep must bring
 
 
@@ -56,7 +55,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
     reading = np.zeros(len(nodes))  # at each node that has one, in steps from the first
     reading[::parts] = (readings - zero) / step
     found = _fitted_path(order, np.diff(nodes) / usual_s, reading, read, rounded)
-    mean, sigma = found.mean.copy(), found.sigma
+    mean, sigma = found.mean.copy(), np.sqrt(found.variance)
     # Block means put the first and last node into the middle of their blocks: the path is prolonged to the ends.
     ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
@@ -70,11 +69,11 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
 
 @dataclass(frozen=True)
 class _Swept:
-    """A path at nodes (n,) after a sweep, positions and sigmas in the encoder's steps."""
+    """A path at nodes (n,) after a sweep, positions in the encoder's steps, variances in their squares."""
 
     told: float  # log probability of the readings, each left out in turn
     mean: Array  # (n,)
-    sigma: Array  # (n,)
+    variance: Array  # (n,)
     noise: float  # of the readings
 
 
@@ -92,7 +91,7 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
     force = precision * reading
     jumped, variance = np.full(len(change), -1.0), np.zeros(size)
     jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf  # usual change, squared; the sweep before's probability
-    best = _Swept(-np.inf, state.copy(), np.full(size, noise), noise)
+    best = _Swept(-np.inf, state.copy(), np.full(size, noise**2), noise)
     for _ in range(_SWEEPS):
         # It changes its last five arguments in place: positions; of each reading as a Gaussian its precision and that
         # times its mean; mean squares of the changes; variance of the positions. holds: no number failed; scatter: the
@@ -104,7 +103,7 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
             break
         noise = max(scatter, _NO_NOISE)
         if told > best.told:
-            best = _Swept(told, state.copy(), np.sqrt(variance), noise)
+            best = _Swept(told, state.copy(), variance.copy(), noise)
         if jump == _RAREST and told - before < _SETTLED * len(seen):
             break
         jump, before = max(_RARER * jump, _RAREST), told
@@ -159,25 +158,14 @@ def third_differences(t_s: Array, q: Array) -> tuple[Array, Array]:
     """For each four neighbouring readings q (n,) at rising times t_s (n,), the linear combination that is 0 on any
     parabola of time. Returns its factors (n - 3, 4), whose squares sum to 1, and its values (n - 3,): those of white
     noise have the noise's own variance."""
-    if len(q) < 4:
-        return np.zeros((0, 4)), np.zeros(0)
-    gap = np.diff(t_s)
-    a, b, c = gap[:-2], gap[1:-1], gap[2:]
-    first, last = a + b, b + c
-    every = first + c
-    # The divided difference times the product of its six intervals, so that no gap is divided by.
-    factors = np.stack([b * c * -last, c * first * every, -a * last * every, a * b * first])
-    factors /= np.maximum(np.sqrt(np.sum(factors**2, axis=0)), 1e-300)
-    third = sum(factor * q[i : len(q) - 3 + i] for i, factor in enumerate(factors))
-    return factors.T, np.asarray(third)
+    factors, values = _native.third_differences_with_factors(t_s, q)
+    return factors, values
 
 
 def white_noise(t_s: Array, q: Array) -> float:
     """Standard deviation of the white noise on readings q (n,) of a smooth motion at rising times t_s (n,), s, in their
     unit: from the median size of their third differences; 0 for fewer than four."""
-    blocks = range(0, len(q) - 3, _BLOCK)
-    third = [third_differences(t_s[i : i + _BLOCK + 3], q[i : i + _BLOCK + 3])[1] for i in blocks]
-    return spread.deviation_of_squares(np.concatenate(third) ** 2) if third else 0.0
+    return spread.deviation_of_squares(_native.third_differences(t_s, q) ** 2) if len(q) > 3 else 0.0
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:

@@ -89,11 +89,12 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     ms at 12 mm/s^2 and 1 um), is extrapolated from the changes of count before and after, at constant acceleration. A
     stop is left out where neither side has enough changes for that. encoder: the readings' steps."""
     t, counts = motor.t_s, encoder.counts
-    changes = np.flatnonzero(np.diff(counts))
+    moves = np.diff(counts)
+    changes = np.flatnonzero(moves)
     # Of each of k changes of count: when, s, by how many counts, and where the motor is then, counts.
-    at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
+    at, step = 0.5 * (t[changes] + t[changes + 1]), moves[changes]
     boundary = counts[changes] + 0.5 * step
-    period = float(np.median(np.diff(t)))
+    period = motor.period_s
     stops, asked, slowing = [], 0, 0  # asked: sides of stops, before and after; slowing: those at which it slows down
     # Count i, of k + 1, holds from change i - 1 to change i.
     edges = np.concatenate([t[:1], at, t[-1:]])  # when each begins, and the last one ends
@@ -104,8 +105,10 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
         centre = counts[0] if first else counts[changes[i - 1] + 1]
         since, until, turns = edges[i], edges[i + 1], turned[i]
         # How the motor comes to the stop, and, as time reversed is alike, how it leaves it.
-        slows = None if first else _stop_by_parabola(at[:i][::-1], boundary[:i][::-1], step[:i][::-1], centre, period)
-        starts = None if last else _stop_by_parabola(at[i:], boundary[i:], -step[i:], centre, period)
+        before = np.arange(i - 1, max(i - CHANGES[0], 0) - 1, -1)
+        after = slice(i, i + CHANGES[0])
+        slows = None if first else _stop_by_parabola(at[before], boundary[before], step[before], centre, period)
+        starts = None if last else _stop_by_parabola(at[after], boundary[after], -step[after], centre, period)
         sides = [side for side in (slows, starts) if side is not None]
         asked += (not first) + (not last)
         slowing += sum(side.slows for side in sides)
@@ -146,17 +149,20 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
     """How the motor comes to its stop within a count: the vertex of a parabola away(s) = offset + speed s + bend s^2
     through as many of the nearest changes of count as it fits, s being the time before the nearest one. Where it has no
     vertex within a count the motor does not slow down: it stops after half the time to the second change. None for too
-    few changes. Of each change, the nearest to the stop first: at (k,), s; boundary and step (k,), counts. centre: the
-    count that it stops in; period: of the samples, s."""
-    most, least = CHANGES
+    few changes. Of each of the k <= CHANGES[0] changes, the nearest to the stop first: at (k,), s; boundary and step
+    (k,), counts. centre: the count that it stops in; period: of the samples, s."""
+    least = CHANGES[1]
     way = np.sign(step[0])
-    breaks = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
-    n = min(len(at), most, int(breaks[0]) if len(breaks) else most)
+    ends = step * way <= 0.0
+    ends[1:] |= np.abs(at[1:] - at[:-1]) > REST_S
+    n = int(np.argmax(ends)) if ends.any() else len(at)
+    every = np.abs(at - at[0])
     while n >= least:
-        away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])  # counts from the stop's centre; s
-        gaps = np.diff(since)
+        away, since = way * (centre - boundary[:n]), every[:n]  # counts from the stop's centre; s
+        gaps = since[1:] - since[:-1]
         # A change that comes after a while is known to a fraction of a count.
-        sure = np.maximum(1.0, 0.5 * (np.append(gaps[0], gaps) + np.append(gaps, gaps[-1])) / period)
+        beside = np.concatenate([gaps[:1], gaps, gaps[-1:]])
+        sure = np.maximum(1.0, 0.5 * (beside[:-1] + beside[1:]) / period)
         _, fitted, _ = dgels(np.stack([sure, sure * since, sure * since**2]).T, away * sure)
         if float(np.sqrt(fitted[3:] @ fitted[3:] / n)) <= _FITS:
             offset, speed, bend = fitted[:3].tolist()
@@ -212,7 +218,8 @@ def _rest_nodes(
         since_s = _standstill_s(t_s[: before + 1], q[: before + 1], latest_s, float(t_s[first]))
     if after < length:
         latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])  # the same with time reversed
-        until_s = -_standstill_s(-t_s[after:][::-1], q[after:][::-1], latest_s, -float(t_s[last - 1]))
+        nodes_after = slice(after, after + _SLOWING + 1)
+        until_s = -_standstill_s(-t_s[nodes_after][::-1], q[nodes_after][::-1], latest_s, -float(t_s[last - 1]))
     if since_s >= until_s:
         return None
     return before, after, np.array([[since_s, until_s], [level, level], [sigma, sigma]])

@@ -84,8 +84,8 @@ def factor(matrix: Array) -> tuple[Array, bool]:
 
 def with_ridge(matrix: Array) -> Array:
     """A copy of the matrix (m, m) with a negligible ridge added to its diagonal."""
-    ridged = np.array(matrix)
-    ridged[np.diag_indices_from(ridged)] += _RIDGE * np.diag(matrix) + _FLOOR
+    ridged, diagonal = np.array(matrix), np.diag(matrix)
+    np.fill_diagonal(ridged, diagonal + (_RIDGE * diagonal + _FLOOR))
     return ridged
 
 
@@ -96,4 +96,6 @@ def inverse_of(matrix: Array) -> Array:
     if failed:
         raise LinAlgError("the matrix is not positive definite")
     lower, _ = dpotri(factored, lower=True, overwrite_c=True)
-    return np.asarray(lower + np.tril(lower, -1).T)
+    both = np.asarray(lower + lower.T)  # above the diagonal of `lower` is nothing
+    np.fill_diagonal(both, np.diag(lower))
+    return both

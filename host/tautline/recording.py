@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from filecmp import cmp
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 
@@ -60,6 +61,11 @@ class Motor(Value):
         """A hash of the number of samples and the last sample alone: equal motors have the same one, and it takes next
         to no time."""
         return hash((len(self.t_s), *self.t_s[-1:], *self.q[-1:]))
+
+    @cached_property
+    def period_s(self) -> float:
+        """Median time between neighbouring samples, s; there are two at least."""
+        return float(np.median(np.diff(self.t_s)))
 
     @property
     def joints(self) -> dict[str, Array]:

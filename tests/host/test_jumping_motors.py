@@ -10,6 +10,7 @@ import pytest
 from angle_plant import RIG, Motion, record, tip, width
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import ndtr
 from scipy.stats import chi2
 
 from tautline import _native, encoder
@@ -74,6 +75,50 @@ def test_a_sweep_is_the_gaussian_that_its_equations_say(seed, order, size, round
     np.testing.assert_allclose(variance, np.diag(dense), rtol=1e-5)
     expected = np.square(change @ state) + np.diag(change @ dense @ change.T)
     np.testing.assert_allclose(squares, expected, rtol=1e-5, atol=1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 1000), st.sampled_from([2, 3]), st.booleans())
+def test_a_sweep_matches_the_moments_of_each_reading(seed, order, rounded):
+    """Against integrals over the path's place; strays, of which only an end of the distribution tells, less closely."""
+    rng, size, white = np.random.default_rng(seed), 150, 0.3**2
+    change = change_factors(order, np.ones(size - 1))
+    stray = rng.uniform(size=size) < 0.1
+    q = np.rint(20.0 * np.sin(0.05 * np.arange(size))) + stray * rng.choice([-5.0, -3.0, 3.0, 5.0], size)
+    read = (rng.uniform(size=size) < 0.8).astype(np.uint8)
+    read[[0, -1]] = 1
+    before = read / 0.4**2
+    state, variance, precision, force = np.zeros(size), np.zeros(size), before.copy(), before * q
+    squares = np.full(size - order, -1.0)
+    half = 0.5 if rounded else 0.0
+    holds, noise, told = _native.sweep(
+        change, q, read, half, np.sqrt(white), 1e-3, state, precision, force, squares, variance
+    )
+    assert holds
+    all_told, far = 0.0, 0
+    for k in np.flatnonzero(read):
+        other = 1.0 / (1.0 / variance[k] - before[k])
+        without = other * (state[k] / variance[k] - before[k] * q[k])
+        x = without + np.sqrt(other) * np.linspace(-14.0, 14.0, 40001)
+        seen = (
+            ndtr((q[k] + half - x) / np.sqrt(white)) - ndtr((q[k] - half - x) / np.sqrt(white))
+            if rounded
+            else np.exp(-0.5 * (q[k] - x) ** 2 / white) / np.sqrt(2 * np.pi * white)
+        )
+        weight = seen * np.exp(-0.5 * (x - without) ** 2 / other) / np.sqrt(2 * np.pi * other) * (x[1] - x[0])
+        whole = weight.sum()
+        all_told += np.log(max(whole, 1e-12))
+        if whole < 1e-9:  # its tail is an exponential
+            far += 1
+            continue
+        mean = weight @ x / whole
+        matched = 1.0 / (weight @ (x - mean) ** 2 / whole)
+        if matched - 1.0 / other > 1e-6:
+            own = np.array([matched - 1.0 / other, mean * matched - without / other])
+            expected = 0.3 * before[k] * np.array([1.0, q[k]]) + 0.7 * own
+            np.testing.assert_allclose([precision[k], force[k]], expected, rtol=2e-6, atol=2e-6)
+    assert told == pytest.approx(all_told, rel=1e-6, abs=0.05 * far)  # equation: by 1 / z^2 beyond six sigmas
+    assert 0.0 < noise < 5.0
 
 
 @settings(max_examples=12, deadline=None)

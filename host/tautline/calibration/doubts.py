@@ -205,7 +205,7 @@ def common_error(
     worst = int(np.argmax(told))
     between = told[worst]
     if between > _COARSE * usual:
-        period = float(np.median(np.diff(tracks[worst].reading.t_s)))
+        period = tracks[worst].reading.period_s
         findings.notice(
             "rate",
             f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",

@@ -167,8 +167,8 @@ def _last_direction(z: Array) -> Array:
     last = z[-_LAST:]
     if len(last) < _FEWEST_LAST:
         return np.zeros(z.shape[1])
-    moved: Array = last[-2:].mean(axis=0) - last[:2].mean(axis=0)  # means of two: their difference has a sigma of 1
-    size = float(np.linalg.norm(moved))
+    moved: Array = 0.5 * (last[-2] + last[-1] - last[0] - last[1])  # means of two: their difference has a sigma of 1
+    size = float(np.sqrt(moved @ moved))
     return moved / size if size > _HEADS else np.zeros_like(moved)
 
 
@@ -180,7 +180,7 @@ def _creep(since_s: Array, z: Array, heading: Array) -> Array:
     none = np.zeros_like(z)
     if len(z) < _TELLS or not heading.any():
         return none
-    ahead = np.convolve((z - z[0]) @ heading, np.ones(3) / 3, mode="valid")
+    ahead = _mean_of_three((z - z[0]) @ heading)
     stop = int(np.argmax(ahead))  # two frames before the middle of the furthest three
     if ahead[stop] < _ON or stop < _CREEPS:
         return none
@@ -201,15 +201,21 @@ def _lagging_frames(z: Array) -> int:
     short, or if z does not fall by more than _ON or not at once."""
     if len(z) < _TELLS:
         return 0
-    way = z[-3:].mean(axis=0) - z[:3].mean(axis=0)
-    if np.linalg.norm(way) < _SWINGS:
+    way = _mean_of_three(z[-3:])[0] - _mean_of_three(z[:3])[0]
+    swing = float(np.sqrt(way @ way))
+    if swing < _SWINGS:
         return 0
-    along = np.convolve(z @ way / np.linalg.norm(way), np.ones(3) / 3, mode="valid")
+    along = _mean_of_three(z @ way / swing)
     lowest = along.min()
     depth = along[0] - lowest
     # A jump back comes later, at the onset.
     at_once = along[0] - along[min(_AT_ONCE, len(along) - 1)] > max(_LOWEST, _FALLS * depth)
     return int(np.argmax(along < lowest + _LOWEST)) if depth > _ON and at_once else 0
+
+
+def _mean_of_three(values: Array) -> Array:
+    """(n - 2, ...) The mean of each three neighbours among values (n, ...)."""
+    return np.asarray((values[:-2] + values[1:-1] + values[2:]) / 3.0)
 
 
 def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0) -> list[Onset]:

@@ -56,10 +56,13 @@ class MotorPath:
     def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:
         """The path from one time to another, both s and included: times t_s, s, and positions q, (n,) each, with
         straight lines between them."""
-        knots = self.lines.t_s
-        inner = knots[np.searchsorted(knots, from_s, side="right") : np.searchsorted(knots, to_s)]
-        t_s = np.concatenate([[from_s], inner, [to_s]])
-        return t_s, self.at(t_s)
+        ends, knots = np.array([from_s, to_s]), self.lines.t_s
+        inner = slice(np.searchsorted(knots, from_s, side="right"), np.searchsorted(knots, to_s))
+        q = self.at(ends)
+        return (
+            np.concatenate([ends[:1], knots[inner], ends[1:]]),
+            np.concatenate([q[:1], self.lines.q[inner], q[1:]]),
+        )
 
     def others_at(self, t_s: Array) -> tuple[Array, Array]:
         """Translation, mm, and rotation, deg, at times t_s (n,), s, (n,) each; 0 where they are not recorded."""
