@@ -57,8 +57,7 @@ def test_what_the_calibration_named_is_counted_where_the_tests_bear_it():
     assert low < found.gap.shrink <= high
 
 
-def test_what_leaves_more_of_the_tests_is_not_handed_out():
+def test_what_leaves_more_of_the_tests_is_said_to():
     found = diagnosed((replace(LAG[0], parameters={"lag": 0.4}),))
-    assert found.verdict == "unknown"
-    assert found.corrected.effects == () and found.gap.after == found.gap.before
-    assert found.gap.shrink == 0.0 and tuple(found.gap.shrink_ci) == (0.0, 0.0)
+    assert found.verdict == "unknown" and found.corrected.effects[0].parameters["lag"] == 0.4
+    assert found.gap.after > found.gap.before and found.gap.shrink < 0.0

@@ -85,9 +85,9 @@ def diagnose(
 ) -> Diagnosis:
     """Finds which effect explains the gap between a calibrated model and later recordings. model: calibrated on
     `calibration`; the search begins without the effects that it carries, and `corrected` is the model with these
-    effects where nothing is named and they leave less of the tests. progress: called with the share that is done, 0
-    to 1, and what is done now. left_out: ids of effects not to try. simulated: given where a user's simulator
-    stands in the motor's place. Raises TautError where no observation can be scored."""
+    effects where nothing is named. progress: called with the share that is done, 0 to 1, and what is done now.
+    left_out: ids of effects not to try. simulated: given where a user's simulator stands in the motor's place. Raises
+    TautError where no observation can be scored."""
     with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
         return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
@@ -115,8 +115,7 @@ def _diagnosis(
         resembles.closest_effects(found.gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )
     progress(1.0, "done")
-    as_calibrated = calibrated if found.keeps_carried else model
-    corrected = _corrected_model(found.chosen.fit, found.latest) if found.named else as_calibrated
+    corrected = _corrected_model(found.chosen.fit, found.latest) if found.named else calibrated
     corrected = replace(corrected, extra=model.extra, load_reference_mNm=load_mNm)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None

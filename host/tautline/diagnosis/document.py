@@ -76,8 +76,8 @@ class Found:
     @property
     def keeps_carried(self) -> bool:
         """Whether the corrected model is the calibrated one with the effects that its calibration named: where nothing
-        is named here, and it leaves less of the tests with them."""
-        return not self.named and self.carried is not None and gap.rms(self.carried) < gap.rms(self.before)
+        is named here."""
+        return not self.named and self.carried is not None
 
     @property
     def after(self) -> Sequence[Array]:
