@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 from rich.progress import Progress
 
+from tautline.folders import unpacked_folder
 from tautline.model import Model
 from tautline.prediction import predict_with_sigma, times_of, write_csv
 from tautline.recording import load_motor
@@ -24,16 +25,14 @@ CASES, UNSEEN, TRUTH = "cases", "unseen", "truth"
 
 def diagnose_case(family: Path, name: str) -> None:
     """Writes DIR/diagnoses/NAME of one case; a case that fails has a diagnosis.json that says so, and no models."""
-    said = family / sealed.DIAGNOSES / name
-    sealed.write(said, work.diagnose_folder(family / CASES / name))
-    if not (said / work.EVIDENCE).exists():
-        return
     unseen = family / UNSEEN / name
-    for which in ("nominal", "corrected"):
-        model = Model.load(said / which)
-        motor = load_motor(unseen, model.rig, [])
-        times = times_of(model, unseen, motor, unseen / "times.csv", [])
-        write_csv(said / f"{which}.csv", times, predict_with_sigma(model, motor, times.scene_s, None))
+    with unpacked_folder(work.diagnose_folder(family / CASES / name)) as said:
+        for which in ("nominal", "corrected") if (said / work.EVIDENCE).exists() else ():
+            model = Model.load(said / which)
+            motor = load_motor(unseen, model.rig, [])
+            times = times_of(model, unseen, motor, unseen / "times.csv", [])
+            write_csv(said / f"{which}.csv", times, predict_with_sigma(model, motor, times.scene_s))
+        sealed.write(family / sealed.DIAGNOSES / name, sealed.read(said))  # whole: what is there is done
 
 
 @click.command(help=__doc__)

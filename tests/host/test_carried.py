@@ -1,5 +1,5 @@
 """An effect that the calibration named, and a diagnosis does not: it is in the corrected model, and in the gap that is
-said to be left, where the tests bear it."""
+said to be left."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def diagnosed(carried: tuple[Effect, ...]) -> Diagnosis:
     return diagnose(replace(tables, effects=carried), calibration, [test], left_out=others)
 
 
-def test_what_the_calibration_named_is_counted_where_the_tests_bear_it():
+def test_what_the_calibration_named_is_in_the_gap_that_is_left():
     found = diagnosed(LAG)
     assert found.verdict == "unknown" and not found.findings
     assert found.corrected.effects == LAG and found.nominal.effects == ()

@@ -127,14 +127,12 @@ def test_a_sensor_that_counts_repeats_nothing_when_it_rests_on_a_step():
     assert are_repeats(twice[:0]).shape == (0,)  # a test in which nothing was seen
 
 
-@pytest.mark.parametrize("before", [0.0, 0.4])
-def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, before: float) -> None:
-    """Beside something unknown; held samples may have been a candidate already."""
-    monkeypatch.setattr(room, "_powers", lambda *_: (4.0, 2.8, 1.2))
-    after = 1.0 if before else np.sqrt(2.8)  # without the samples that repeat
+def document_of(after: float, before: float) -> dict:
+    """Of an unknown gap whose samples that repeat have three tenths of its power, with held samples as a candidate of
+    probability `before`. after: rms with what is handed out, of the others."""
     gap = {"before": np.sqrt(2.8), "before_ci": [1.5, 1.8], "after": after, "after_ci": [0.9 * after, 1.1 * after]}
     gap["shrink"] = 1.0 - after / gap["before"]
-    document = {
+    return {
         "noise_floor": 0.1, "verdict": "unknown", "gap": gap, "count": [1.0, 0.0, 0.0, 0.0], "effects": [],
         "where": {"stage": None}, "probability_none": 0.0, "probability_unknown": 1.0 - before,
         "candidates": [
@@ -143,6 +141,24 @@ def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, bef
         ],
         "gap_recalibrated": {"before": np.sqrt(2.8)},
     }  # fmt: skip
+
+
+def test_an_effect_that_is_carried_beside_something_unknown_shrinks_what_does_not_repeat(monkeypatch):
+    monkeypatch.setattr(room, "_powers", lambda *_: (4.0, 2.8, 1.2))
+    segment = SimpleNamespace(held=np.array([True, False]), scored=np.array([False, True]))
+    document = document_of(1.0, 0.0)
+    room.add_repeats(document, None, [segment, segment], 0.0)
+    assert document["verdict"] == "unknown" and document["gap"]["after"] == pytest.approx(np.sqrt(2.2))
+    assert document["gap"]["shrink"] == pytest.approx(1.0 - np.sqrt(2.2) / 2.0)
+
+
+@pytest.mark.parametrize("before", [0.0, 0.4])
+def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, before: float) -> None:
+    """Beside something unknown; held samples may have been a candidate already."""
+    monkeypatch.setattr(room, "_powers", lambda *_: (4.0, 2.8, 1.2))
+    after = 1.0 if before else np.sqrt(2.8)  # without the samples that repeat
+    document = document_of(after, before)
+    gap = document["gap"]
     segment = SimpleNamespace(held=np.array([True, False]), scored=np.array([False, True]))
     room.add_repeats(document, None, [segment, segment], 0.0)
     assert (document["verdict"] == "effect") == (before > 0.0) == (gap["shrink"] > 0.0)

@@ -222,7 +222,7 @@ def _collect(ready: _Prepared, weighed: _Weighed, calibrated: Model) -> Found:
         verdict=verdict,
         chosen=_chosen_candidate(fitter, frozen, gathered, verdict),
         parts=parts,
-        carried=_left_with_effects(fitter, calibrated) if calibrated.effects else None,
+        carried=_left_with_effects(ready.fitter, calibrated) if calibrated.effects else None,
     )
 
 

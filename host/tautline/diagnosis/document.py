@@ -50,7 +50,7 @@ class Found:
     verdict: decide.Decision
     chosen: Candidate  # the hypothesis of what is named
     parts: Sequence[Moved]  # of the nominal model, where a recalibration closes the gap
-    carried: Sequence[Array] | None  # residuals of the tests by the model with the effects that its calibration named
+    carried: Sequence[Array] | None  # residuals of the tests with the effects that the calibration named; None: none
 
     @property
     def tests(self) -> Sequence[Segment]:
@@ -74,18 +74,12 @@ class Found:
         return self.verdict.named if self.verdict.name == "effect" else ()
 
     @property
-    def keeps_carried(self) -> bool:
-        """Whether the corrected model is the calibrated one with the effects that its calibration named: where nothing
-        is named here."""
-        return not self.named and self.carried is not None
-
-    @property
     def after(self) -> Sequence[Array]:
         """Held-out residuals of the tests by the chosen hypothesis, (scored, k) each; where nothing is named, by the
-        model that is handed out: with the effects that the calibration named (`keeps_carried`), else `before`."""
+        model that is handed out: with the effects that the calibration named (`carried`), or as `before`."""
         if self.named:
             return self.chosen.held_out[1:]
-        return self.carried if self.carried is not None and self.keeps_carried else self.before
+        return self.before if self.carried is None else self.carried
 
     @property
     def floor(self) -> float:
@@ -113,12 +107,12 @@ class Found:
     @cached_property
     def gap(self) -> dict[str, Any]:
         """The object `gap` of diagnosis.json: rms before and after with their intervals, px or deg, and the shrinkage.
-        Where nothing is named, and no effect of the calibration's is kept, after equals before, and the shrinkage and
-        its interval are 0."""
+        Where nothing is named, and the model carries nothing, after equals before, and the shrinkage and its interval
+        are 0."""
         goes_with_time = any(effects.BY_ID[name].course for name in self.named)
         excess = learnt().later if goes_with_time else learnt().elsewhere
         sizes = gap.with_intervals(self.before, self.after, self.tests, self.floor, excess)
-        corrects = self.named or self.keeps_carried
+        corrects = self.named or self.carried is not None
         return sizes if corrects else {**sizes, "shrink_ci": [0.0, 0.0], "closable_shrink": 0.0}
 
     @cached_property

@@ -43,7 +43,7 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     named = leads or document["verdict"] == "effect"  # else most of the gap has another, unknown cause
     closed = document["gap"]["shrink"]
     _count_repeats_in_gap(document, power, power - fresh_power)
-    if named and closed != 0.0:
+    if closed != 0.0:
         goes_with_time = document["verdict"] == "effect" and any(BY_ID[e["id"]].course for e in document["effects"])
         set_shrinkages(document["gap"], floor2, learnt().later if goes_with_time else learnt().elsewhere)
     document["count"] = _count_with_one_more(document["count"], _SURE if named else probability)
